@@ -1,1 +1,1 @@
-"""The public benchmark of diagnoses: hidden effects on machines that share no formula with the catalogue."""
+"""The public benchmark of diagnoses: hidden effects on machines whose formulas are not those of the catalogue."""

@@ -24,11 +24,11 @@ HEAD = ("set", "verdict", "names", "claimed", "variables", "doubts", "seconds")
 
 @dataclass(frozen=True)
 class BenchmarkRange:
-    """Which trials there are.
+    """Seeds and groups of the trials.
 
     Attributes:
-        first, end: seeds, the end not included.
-        groups: of `GROUPS`.
+        first, end: seeds, without the end.
+        groups: keys of `GROUPS`.
     """
 
     first: int
@@ -36,7 +36,7 @@ class BenchmarkRange:
     groups: tuple[str, ...] = tuple(GROUPS)
 
     def trials(self) -> list[Trial]:
-        """All of them, in an order that tells nothing of what is hidden."""
+        """All trials, in an order that does not reveal the hidden effects."""
         words = list(trials(range(self.first, self.end), self.groups))
         order = np.random.default_rng([self.first, self.end, 7]).permutation(len(words))
         return [build(*words[i]) for i in order]
@@ -46,11 +46,11 @@ def write_sets(folder: Path, of: BenchmarkRange) -> int:
     """Write data sets without their truth, and an empty table of answers.
 
     Args:
-        folder: is made; it must not hold a benchmark yet.
-        of: which.
+        folder: created if missing; it must not contain a benchmark yet.
+        of: seeds and groups.
 
     Returns:
-        How many.
+        Number of data sets.
     """
     made = of.trials()
     for i, trial in enumerate(made, 1):
@@ -67,7 +67,7 @@ def write_sets(folder: Path, of: BenchmarkRange) -> int:
 
 
 def read_range(folder: Path) -> BenchmarkRange | None:
-    """Which trials a folder holds; None where it holds no benchmark.
+    """Seeds and groups of a folder; None where it has no benchmark.
 
     Raises:
         MeasurementError: its description is malformed.
@@ -92,7 +92,7 @@ def read_answers(folder: Path, made: Sequence[Trial]) -> dict[str, TrialAnswer]:
     """The answers of a folder by the label of their trial; empty where the table is not filled in.
 
     Raises:
-        MeasurementError: a row is missing or malformed; the message says which.
+        MeasurementError: a row is missing or malformed; the message names it.
     """
     file = folder / ANSWERS
     try:
@@ -131,7 +131,7 @@ def _read_predicted(file: Path, trial: Trial) -> dict[str, Floats]:
 
 
 def write_answers(folder: Path, made: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> None:
-    """Write answers as `read_answers` takes them."""
+    """Write answers in the format of `read_answers`."""
     rows = []
     for i, trial in enumerate(made, 1):
         a = answers[trial.label]

@@ -1,4 +1,4 @@
-"""The program's own answers to the benchmark's trials."""
+"""rtec's own answers to the benchmark's trials."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -22,7 +22,7 @@ from rtec.parallel import one_blas_thread
 Floats = NDArray[np.float64]
 
 IMPROVED = ("plates", "improve")
-"""Groups whose effects are added one after the other."""
+"""Groups that are answered by `rtec improve`, which adds several effects."""
 
 
 def own_answers(trials: Sequence[Trial], jobs: int, tell: Callable[[int, int], None]) -> dict[str, TrialAnswer]:
@@ -30,8 +30,8 @@ def own_answers(trials: Sequence[Trial], jobs: int, tell: Callable[[int, int], N
 
     Args:
         trials: data sets.
-        jobs: processes.
-        tell: told how many are done, and of how many.
+        jobs: number of processes.
+        tell: progress callback, called with the number of trials done and in total.
     """
     out: dict[str, TrialAnswer] = {}
     if jobs <= 1:
@@ -47,7 +47,7 @@ def own_answers(trials: Sequence[Trial], jobs: int, tell: Callable[[int, int], N
 
 
 def own_answer(trial: Trial) -> TrialAnswer:
-    """What `rtec diagnose` says of a trial; of several effects what `rtec improve` adds."""
+    """Answer of `rtec diagnose` to a trial; for several effects the additions of `rtec improve`."""
     with one_blas_thread():
         model, measurements = model_of(trial), measurements_of(trial)
         start = process_time()
@@ -72,7 +72,7 @@ def own_answer(trial: Trial) -> TrialAnswer:
 
 
 def _predicted(model: Model, measurement: Measurement) -> dict[str, Floats]:
-    """What a model predicts of each reading, on the channels as recorded, (n,) by column."""
+    """Predictions of a model for each reading, on the recorded channels, (n,) by column."""
     state = model.state(measurement.time_s, measurement.channels)
     pose, columns = state.positions_mm(), measurement.instrument.columns()
     out = np.zeros((len(columns), len(state)))

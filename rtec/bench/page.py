@@ -11,8 +11,8 @@ def bench_page(rows: Sequence[ScoreRow], sets: int) -> Page:
     """Every row with its goal.
 
     Args:
-        rows: of the score.
-        sets: how many data sets there were.
+        rows: rows of the score.
+        sets: number of data sets.
     """
     met = sum(r.met for r in rows)
     lines = [

@@ -1,4 +1,4 @@
-"""Scores answers to the benchmark's trials: a row for each claim that a diagnosis makes, with its goal."""
+"""Scores answers to the benchmark's trials: a row for each claim of a diagnosis, with its goal."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,23 +13,23 @@ from rtec.errors import MeasurementError
 VERDICTS = ("nothing_missing", "undecided", "missing_effect", "ambiguous", "unknown_effect")
 CLAIMS = ("missing_effect", "ambiguous")
 NEAR = 1.1
-"""An error on held-out runs of at most so many times that of the true law, or the noise, is as good."""
+"""An error on held-out runs counts as equally good up to this multiple of the true law's error, or of the noise."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class TrialAnswer:
-    """What a program says of one data set.
+    """Answer of a program to one data set.
 
     Attributes:
-        verdict: of `VERDICTS`.
+        verdict: one of `VERDICTS`.
         names: effects, best first.
-        claimed: those that are said to be missing, rivals of the first with it.
-        variables: channels of what has no name.
-        doubts: what is said of the record or of the machine file.
-        seconds: processor time; NaN where it is not told.
-        predicted: of the readings of the first record, by column, (n,); empty where nothing is predicted.
+        claimed: effects that are reported as missing, with rivals of the first.
+        variables: channels of an effect without a name.
+        doubts: reported doubts about the record or the machine file.
+        seconds: processor time; NaN where it is unknown.
+        predicted: predictions of the first record's readings, by column, (n,); empty where there are none.
     """
 
     verdict: str
@@ -46,10 +46,10 @@ class ScoreRow:
     """One row of the score.
 
     Attributes:
-        what: in words.
-        hits, total: how many of how many.
-        goal: share that is wanted.
-        at_most: the goal is an upper one.
+        what: claim in words.
+        hits, total: number of hits, and number of cases.
+        goal: required share of hits.
+        at_most: whether the goal is an upper limit.
     """
 
     what: str
@@ -76,7 +76,7 @@ def is_right(name: Right, names: Names) -> bool:
 
 
 def confidently_wrong(trial: Trial, answer: TrialAnswer) -> bool:
-    """Whether a name is asserted without a rival, and is false."""
+    """Whether an answer claims a wrong name without a rival."""
     if answer.verdict != "missing_effect" or not answer.names:
         return False
     return not any(is_right(answer.names[0], names) for names in trial.hidden)
@@ -84,13 +84,13 @@ def confidently_wrong(trial: Trial, answer: TrialAnswer) -> bool:
 
 @dataclass(frozen=True)
 class HeldBack:
-    """Root mean squares on readings that were held back, outliers and zeros left out.
+    """Root mean squares on held-back readings, without outliers and zeros.
 
     Attributes:
-        error: of the prediction; infinite where nothing is predicted.
-        noise: that was drawn.
-        reachable: error of the true law, its free numbers fitted by least squares to the readings that were given; at
-            least the noise.
+        error: error of the prediction; infinite where there is none.
+        noise: drawn noise.
+        reachable: error of the true law with its free numbers fitted by least squares to the given readings; at least
+            the noise.
     """
 
     error: float
@@ -99,13 +99,13 @@ class HeldBack:
 
 
 def held_back(trial: Trial, answer: TrialAnswer) -> HeldBack:
-    """How well an answer predicts what was held back, and how well that can be done.
+    """Error of an answer's predictions on held-back readings, and the reachable error.
 
-    The true law is fitted to the readings that were given and are no outliers, together with the model's own numbers,
-    once with one zero and once with a zero of each run, which slow drift cannot mislead; the better of both counts.
-    A curve of positions, feeds or loads it holds exactly. Of bodies without a sensor it holds what recorded channels
-    tell, through the exact heat flow. A probe that the effect does not move has the noise alone. A law that by chance
-    follows the drift of the instrument predicts it too; nobody is asked to do that.
+    The true law is fitted to the given readings without outliers, together with the model's own numbers: once with one
+    zero, and once with a zero for each run, which is robust to slow drift; the better of both counts. The law has
+    curves of positions, feeds or loads exactly. For bodies without a sensor it has the part that follows from recorded
+    channels by the exact heat flow. A probe that the effect does not move has the noise alone. If the law happens to
+    follow the drift of the instrument, it predicts this, too; an answer need not do that.
     """
     (record,) = trial.records
     squares = np.zeros(3)
@@ -127,11 +127,11 @@ def held_back(trial: Trial, answer: TrialAnswer) -> HeldBack:
 
 
 def score(trials: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> list[ScoreRow]:
-    """All rows that these trials can fill.
+    """All rows for which there are trials.
 
     Args:
         trials: data sets with their truth.
-        answers: by the label of the trial.
+        answers: answers by the label of the trial.
 
     Raises:
         MeasurementError: a trial has no answer.
@@ -152,7 +152,7 @@ def _row(
 
 
 def _first(count: int) -> Callable[[Trial, TrialAnswer], bool]:
-    """A right name is among the first so many."""
+    """A test whether a right name is among the first `count` ones."""
     return lambda t, a: any(is_right(n, t.hidden[0]) for n in a.names[:count])
 
 
@@ -192,7 +192,7 @@ def _plates(pairs: Sequence[Pair]) -> list[ScoreRow]:
 
 
 def _predicted(pairs: Sequence[Pair]) -> list[ScoreRow]:
-    """Held-out runs are predicted as well as by the true law, and as their noise lets them be, after improving."""
+    """Rows on held-out runs after improving: predicted as well as by the true law, and down to their noise."""
     mine = [(t, a) for t, a in pairs if any(r.held_back for r in t.records)]
 
     def reached(t: Trial, a: TrialAnswer) -> bool:
@@ -211,7 +211,7 @@ def _predicted(pairs: Sequence[Pair]) -> list[ScoreRow]:
 
 
 def _doubted(pairs: Sequence[Pair]) -> list[ScoreRow]:
-    """Records and machine files that are wrong, or cannot decide: it is said."""
+    """Rows on reported doubts: records and machine files that are wrong, or that do not decide."""
     out = []
     for doubt in sorted({t.doubt for t, _ in pairs if t.doubt}):
         mine = [(t, a) for t, a in pairs if t.doubt == doubt]

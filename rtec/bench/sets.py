@@ -1,4 +1,4 @@
-"""A trial in the program's own objects: machine, model and measurements, as its files hold them."""
+"""A trial as objects of rtec: machine, model and measurements."""
 
 import json
 from collections.abc import Mapping
@@ -22,12 +22,12 @@ def _machine(text: str) -> Machine:
 
 
 def machine_of(trial: Trial) -> Machine:
-    """The machine as its file has it."""
+    """The machine from the trial's machine file."""
     return _machine(json.dumps(trial.machine))
 
 
 def model_of(trial: Trial) -> Model:
-    """What is known of the machine."""
+    """The model with the effects that are known."""
     made = tuple(FittedEffect(_effect(table), dict(values), {}) for table, values in trial.base)
     return Model(machine_of(trial), made, name="known")
 

@@ -1,6 +1,6 @@
-"""The trials of the benchmark: what is hidden in each, what counts as its name, and what the record has wrong.
+"""The trials of the benchmark: hidden effects, their right names, and faults of the records.
 
-Natural size is two to four times the white noise; at signal-to-noise 1 it is the noise.
+The natural size of an effect is two to four times the white noise; at signal-to-noise 1 it equals the noise.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -41,14 +41,14 @@ class Trial:
     """A data set with its truth.
 
     Attributes:
-        group, what, seed, size: which.
-        records: as files hold them.
-        base: what the model knows: effect table and coefficients by name.
+        group, what, seed, size: identify the trial.
+        records: content of the measurement files.
+        base: effects of the model: effect table and coefficients by name.
         hidden: right names of each hidden effect.
-        variables: channels that an effect outside the catalogue depends on.
-        doubt: what is wrong with the record or with the machine file; empty where nothing is.
-        machine: as the machine file has it.
-        law: columns of the truth, as far as recorded channels tell it; sizes and zero are free. By reading, (n, k).
+        variables: channels of an effect outside the catalogue.
+        doubt: fault of the record or of the machine file; else empty.
+        machine: content of the machine file.
+        law: columns of the truth that follow from recorded channels, by reading, (n, k); sizes and zero are free.
     """
 
     group: str
@@ -71,7 +71,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Maker:
-    """All that a trial is made from."""
+    """Tools for making one trial: its random numbers, day and size."""
 
     rng: Rng
     size_um: float
@@ -79,14 +79,14 @@ class Maker:
     of: Day
 
     def sized(self, values: Floats) -> Floats:
-        """Scaled to its size, either sign."""
+        """Values scaled to the trial's size, with a random sign."""
         spread = float(np.std(values))
         return np.asarray(values * (self.rng.choice([-1.0, 1.0]) * self.size_um / max(spread, 1e-12)))
 
     def record(
         self, plan: CampaignPlan, errors: Errors, name: str = "record", sensors: tuple[str, ...] = SENSORS
     ) -> Record:
-        """Measure."""
+        """A record of a plan with these component errors."""
         return c.read(plan, errors, self.rng, self.form, c.recorded(plan, self.of, self.rng, sensors), name)
 
 
@@ -107,7 +107,7 @@ def _known_scale(m: Maker, plan: CampaignPlan) -> tuple[Errors, tuple[tuple[Tabl
 
 
 def _law(plan: CampaignPlan, *effect: Floats) -> dict[str, Floats]:
-    """Columns of scale error, backlash and an effect, (n,) or (n, k), as a laser reads them."""
+    """Columns of scale error, backlash and an effect, (n,) or (n, k), in a laser's readings."""
     return {"reading_um": np.column_stack([plan.q, plan.direction[plan.axis or "X"], *effect])}
 
 
@@ -123,7 +123,7 @@ def _plus(*errors: Errors) -> dict[str, Floats]:
 
 
 def load_shift(m: Maker) -> Parts:
-    """The table gives way under its load, as a spring with a stop that stiffens."""
+    """The table yields under its load, as a spring that stiffens at a stop."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     w = plan.load_kg / 100.0
@@ -148,7 +148,7 @@ def load_bow(m: Maker) -> Parts:
 
 
 def column_lean(m: Maker) -> Parts:
-    """The column's front is warmer than its back; it bends, and the spindle leans."""
+    """The column's front is warmer than its back; it bends, and the spindle tilts."""
     plan = c.drift(m.rng)
     lean = m.of.of("front", plan.time_s) - m.of.of("back", plan.time_s)
     turned = displaced({"EB0spindle": m.sized(lean) * 8.0}, plan.pose_mm)[:, 0]
@@ -160,7 +160,7 @@ def column_lean(m: Maker) -> Parts:
 
 
 def speed_shift(m: Maker) -> Parts:
-    """Balls are thrown outwards: the bearings shift with the square of the speed, a little less when preloaded."""
+    """Centrifugal force on the balls: the bearings shift with the square of the speed, a little less when preloaded."""
     plan = c.drift(m.rng)
     index = np.searchsorted(m.of.time_s, plan.time_s, side="right") - 1
     speed = m.of.rpm[index] / 1000.0
@@ -170,11 +170,11 @@ def speed_shift(m: Maker) -> Parts:
     }
 
 
-# --- lean against rich -------------------------------------------------------------------------------------------
+# --- simple against complex forms --------------------------------------------------------------------------------
 
 
 def abbe(m: Maker) -> Parts:
-    """The guide of X is bent to a circle: it pitches, and the beam is at other heights in other runs."""
+    """The guide of X is bent to a circle: it pitches, and the height of the beam changes from run to run."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     pitch = np.arcsin(plan.scaled("X") * 0.05)
@@ -190,7 +190,7 @@ def abbe(m: Maker) -> Parts:
 
 
 def bowed_angle(m: Maker) -> Parts:
-    """A guide that is bent, more so at one end: its angle has a slope and a bow."""
+    """A guide that is bent more at one end: its angle has a slope and a bow."""
     plan = c.line(m.rng, "angular", across="B")
     u = plan.scaled("X")
     angle = m.sized(np.sinh(u + 0.5)) * 2.0
@@ -230,7 +230,7 @@ def warm_screw(m: Maker) -> Parts:
 
 
 def servo(m: Maker) -> Parts:
-    """A position loop with lag: the slide trails by speed over gain, less once it has settled."""
+    """A position loop with lag: the slide lags by speed over gain, less before the lag has built up."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     v = plan.velocity_mm_s["X"]
@@ -277,7 +277,7 @@ def step(m: Maker) -> Parts:
 
 
 def wrong_pitch(m: Maker) -> Parts:
-    """The machine file has another pitch than the screw."""
+    """The machine file has a wrong pitch of the screw."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     wave = np.tanh(0.7 * np.sin(2.0 * np.pi * plan.q / PITCH_MM["X"] + m.rng.uniform(0.0, 6.28)))
@@ -291,7 +291,7 @@ def wrong_pitch(m: Maker) -> Parts:
 
 
 def wrong_factor(m: Maker) -> Parts:
-    """A channel that the model needs is in another unit."""
+    """A channel that the model needs is in a wrong unit."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     lag = m.sized(plan.velocity_mm_s["X"])
@@ -307,7 +307,7 @@ def wrong_factor(m: Maker) -> Parts:
 
 
 def swapped_sensors(m: Maker) -> Parts:
-    """Two sensors carry each other's label."""
+    """The labels of two sensors are exchanged."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     other = str(m.rng.choice(["T_spindle", "T_air", "T_cool"]))
@@ -324,7 +324,7 @@ def swapped_sensors(m: Maker) -> Parts:
 
 
 def moved_origin(m: Maker) -> Parts:
-    """The axis was homed elsewhere than when the model was made."""
+    """The axis has another home position than at the fit of the model."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     u = plan.scaled("X")
@@ -341,7 +341,7 @@ def moved_origin(m: Maker) -> Parts:
 
 
 def contradiction(m: Maker) -> Parts:
-    """One of three files has its sign turned."""
+    """One of three files has the wrong sign."""
     records = []
     for k in range(3):
         plan = c.line(m.rng, runs=5, step_mm=40.0, hours=3.0, alike=True)
@@ -364,7 +364,7 @@ def other_machine(m: Maker) -> Parts:
 
 
 def one_pass(m: Maker) -> Parts:
-    """Once through, in one direction."""
+    """A single pass in one direction."""
     plan = c.one_way(c.line(m.rng, per_way=60))
     return {"records": (m.record(plan, {"EXX": m.sized(plan.q)}),), "doubt": "one_pass"}
 
@@ -398,7 +398,7 @@ def nut_unseen(m: Maker) -> Parts:
 
 
 def gaps(m: Maker) -> Parts:
-    """The spindle grows with its bearing, in record of nine hours of which each run is ten minutes."""
+    """The spindle grows with its bearing, in a record of nine hours with runs of ten minutes."""
     plan = c.drift(m.rng)
     plan = c.at(plan, np.flatnonzero((plan.time_s % 1620.0) < 600.0))
     return {
@@ -489,7 +489,7 @@ def spindle_heat(m: Maker) -> Parts:
 
 
 def _improved(builder: Builder, form: str) -> Builder:
-    """An effect of which every fourth run is held back, under a noise of a form; empty for any."""
+    """A builder of an effect with every fourth run held back, with a noise of a form; empty for any."""
 
     def build(m: Maker) -> Parts:
         parts = builder(replace(m, form=form or m.form))
@@ -537,12 +537,12 @@ GROUPS: dict[str, Mapping[str, Builder]] = {
     "quiet": {f"{form}_{kind}": _clean(form, kind) for form in noise.FORMS for kind in ("line", "drift", "uneven")},
 }
 FAINT = ("run_level", "lean")
-"""Groups that are also made at signal-to-noise 1."""
+"""Groups with further trials at signal-to-noise 1."""
 HOURS = 9.0
 
 
 def build(group: str, what: str, seed: int, size: str = "natural") -> Trial:
-    """Make a trial; the same words give the same bits."""
+    """Make a trial; the same arguments give the same numbers, bit for bit."""
     rng = np.random.default_rng([seed, crc32(f"{group}|{what}|{size}".encode())])
     low, high = FAINT_UM if size == "faint" else NATURAL_UM
     forms = ("white", "memory", "wander", "zeros", "quantised")
@@ -551,7 +551,7 @@ def build(group: str, what: str, seed: int, size: str = "natural") -> Trial:
 
 
 def trials(seeds: Sequence[int], groups: Sequence[str] = tuple(GROUPS)) -> Iterator[tuple[str, str, int, str]]:
-    """Words of all trials of some seeds, group by group."""
+    """Arguments of `build` for all trials of some seeds, group by group."""
     for group in groups:
         for what in GROUPS[group]:
             for seed in seeds:

@@ -1,4 +1,4 @@
-"""Characterisation: measurements in, geometric-thermal model out, with what to beware of in words."""
+"""Characterisation: from measurements to a geometric-thermal model, with warnings in words."""
 
 from rtec.characterise.effect_list import AskedEffects, read_wanted
 from rtec.characterise.result import Characterisation

@@ -1,4 +1,4 @@
-"""Puts the result of a characterisation together: model, errors per measurement, coefficients, warnings."""
+"""Assembles the result of a characterisation: model, errors per measurement, coefficients, warnings."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,7 +28,7 @@ from rtec.model.fit import Margin, valid_range
 
 Floats = NDArray[np.float64]
 TOLD = 5
-"""Correlations shown for each component error."""
+"""Number of correlations that are shown for each component error."""
 
 
 def assemble(
@@ -39,7 +39,7 @@ def assemble(
     name: str,
     margin: Margin,
 ) -> Characterisation:
-    """Give the result of a fit and of the choice before it, judged as by every command."""
+    """The result of a fit and of the choice before it, judged as by every command."""
     rivals = _rivals(fit, screened, choice)
     unused = screened.unused if screened else ()
     judged = Judgement(model_of(fit, name, margin), given)
@@ -69,7 +69,7 @@ def assemble(
 
 
 def _rivals(fit: Estimate, screened: Screened | None, choice: TermChoice | None) -> tuple[UndecidedTerm, ...]:
-    """What does as well as terms that the fit kept."""
+    """Alternatives that explain the readings as well as terms that the fit kept."""
     if screened is None or choice is None:
         return ()
     effects = [t.effect for t in fit.terms]
@@ -80,7 +80,7 @@ def _rivals(fit: Estimate, screened: Screened | None, choice: TermChoice | None)
 def _same_readings(
     fit: Estimate, screened: Screened | None, choice: TermChoice | None
 ) -> list[tuple[Term, Term, float]]:
-    """Terms of the fit, each with one that was not chosen and makes the same readings, and how much it holds of it."""
+    """Terms of the fit, each with a confounded one that was not chosen, and how much of it the coefficient contains."""
     if screened is None or choice is None:
         return []
     every = [c.term for c in screened.candidates]
@@ -153,7 +153,7 @@ def model_of(fit: Estimate, name: str, margin: Margin) -> Model:
 
 
 def _with_history(judged: Judgement, fit: Estimate) -> Model:
-    """The model with the errors by which it was judged."""
+    """The model with its errors in the history."""
     history: Mapping[str, Any] = {
         "change": "fit",
         "readings": len(judged.readings),

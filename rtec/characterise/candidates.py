@@ -1,4 +1,4 @@
-"""What may be the matter with each component error: the candidate terms among which held-out runs choose."""
+"""Candidate terms of each component error, among which the error on held-out runs chooses."""
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,30 +19,30 @@ from rtec.estimation.visible import VisibleComponent
 from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
-"""Quadratics are typically enough [G 3.6]; higher degrees where they pay on held-out runs."""
+"""Quadratics are typically enough [G 3.6]; a higher degree is chosen if it lowers the error on held-out runs."""
 BEND = 2
-"""Degree of a straight deviation that is no squareness."""
+"""Degree of a linear deviation that is no squareness."""
 REGIONS = (5, 9)
-"""Knots of the split of an axis into regions."""
+"""Numbers of knots for the regions of an axis."""
 LIFTS = (0.5, 0.75, 1.0)
-"""An oil film lifts with the speed to such a power."""
+"""Powers of the speed with which an oil film lifts a slide."""
 EXPONENTS = (1.0, 1.5, 2.0)
-"""Heat of a spindle grows with its speed to such a power."""
+"""Powers of the speed with which a spindle's heat grows."""
 
 
 THERMAL = {
     "axis_expansion", "axis_expansion_nonuniform", "column_tilt", "mount_expansion", "spindle_growth", "spindle_tilt",
 }  # fmt: skip
-"""Effects that `thermal` gives."""
+"""Effects of `thermal`."""
 DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2}
-"""Power of the position that a temperature changes; 0 of the others."""
+"""Power of the position in an effect of temperature; 0 for the others."""
 
 
 Drive = tuple[str, ...]
 
 
 def drive(effect: Effect) -> Drive:
-    """Component, name and sensors of an effect, whatever its delay and its degrees."""
+    """Component, name and sensors of an effect, without its delay and its degrees."""
     return effect.component, effect.effect, *(str(getattr(effect, n, "")) for n in ("sensor", "front", "back"))
 
 
@@ -51,13 +51,13 @@ class TermCandidate:
     """A term that may be chosen.
 
     Attributes:
-        term: effect with fixed non-linear parameters, and the columns that it stands for.
+        term: effect with fixed non-linear parameters, and its columns.
         kind: "position", "direction", "velocity", "acceleration", "region", "cross", "cyclic", "temperature",
             "difference", "speed", "other".
-        feature: what drives it: sensors or speed, and how they are lagged; empty for geometry.
-        channels: sensors, or the speed, or the axis, that drive it.
-        direct: the readings show its component as it is, not only through a lever arm.
-        offered: whether it may be chosen; else it only says what makes the readings of something that was.
+        feature: sensors or speed that drive it, with their lag; empty for geometry.
+        channels: sensors, speed or axis that drive it.
+        direct: the readings show its component directly, not only through a lever arm.
+        offered: whether it may be chosen; otherwise it only shows with what a chosen term is confounded.
     """
 
     term: Term
@@ -69,7 +69,7 @@ class TermCandidate:
 
     @property
     def component(self) -> str:
-        """The component error that it feeds."""
+        """Component error that the term feeds."""
         return self.term.effect.component
 
     @property
@@ -88,7 +88,7 @@ class TermCandidate:
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Numbers of the effect's coefficients that it has, as text."""
+        """Indices of the effect's coefficients in this term, as texts."""
         return tuple(str(i) for i in self.term.only or ())
 
 
@@ -106,12 +106,12 @@ def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[TermCand
     if not len(places):
         return out
     named = any(s.measurement.instrument.component == name for s in sources)
-    # A straight deviation across an axis is its squareness, unless a file names the component.
+    # A linear deviation across an axis is its squareness, unless a file names the component.
     least = BEND if component_kind(name, sources[0].measurement.machine) == "straightness" and not named else 0
     degrees = [k for k in DEGREES if least <= k <= highest_degree(places, axis)]
     out += [_candidate("position", "polynomial_position", name, degrees=(k,), **along) for k in degrees]
     if least == BEND and not degrees and len(places) > BEND:
-        # Too few of the travel to correct a bend, but a turn that grows along the axis makes the same readings.
+        # Too few places to correct a bend, but a rotation that grows along the axis gives the same readings.
         bend = _candidate("position", "polynomial_position", name, degrees=(BEND,), **along)
         out.append(replace(bend, offered=False))
     mine = [s for s in sources if reads(s, name)]
@@ -130,9 +130,9 @@ def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[TermCand
 
 
 def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[TermCandidate]:
-    """What no rigid body does [XT 2]: a component that goes with the speed, or that changes with another axis.
+    """Candidates that no rigid body has [XT 2]: a component that depends on the speed or on another axis.
 
-    Only where the measurements that read it cover it: several speeds, all thirds of both axes.
+    Only where the measurements that read the component cover this: several speeds, all thirds of both axes.
     """
     axis, name = seen.axis, seen.name
     if axis is None or not seen.moves or name[2] == "0":
@@ -181,7 +181,7 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
 
 
 def at_constant_temperature(one: TermCandidate, candidates: Sequence[TermCandidate]) -> TermCandidate | None:
-    """The shape that a candidate has where its temperature does not change, if it is among the candidates."""
+    """The candidate with the same shape at constant temperature; None where there is none."""
     if one.kind not in ("temperature", "difference"):
         return None
     degree = DEGREE.get(one.effect, 0)
@@ -191,11 +191,11 @@ def at_constant_temperature(one: TermCandidate, candidates: Sequence[TermCandida
 
 
 def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: set[str]) -> list[TermCandidate]:
-    """Effects of the registry that were named, or come from a plug-in, and that are no candidates otherwise.
+    """Candidates of effects that the user named or that come from a plug-in, if they are no candidates already.
 
     Args:
-        sources: measurements.
-        allowed: names of the effects that may be candidates; None for a free choice, which takes plug-ins along.
+        sources: the measurements.
+        allowed: names of the effects that may be candidates; None for a free choice, which includes plug-ins.
         there: names of effects that are candidates already.
     """
     kinds = all_effects()

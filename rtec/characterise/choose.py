@@ -1,9 +1,9 @@
-"""Chooses terms on readings that were held out of the fit, and says where that does not decide.
+"""Chooses terms by their error on held-out blocks, and lists the alternatives where that does not decide.
 
-Forward, one term at a time, by the error on held-out blocks; then the smallest choice within one standard error of the
-best; then terms that do not pay are dropped, and each is tried against its rivals. The held-out errors of all choices
-come from one set of normal equations. Choices that the held-out readings cannot separate from the one that was made are
-listed, and effects that make the very readings of those that were chosen.
+Forward selection adds one term at a time by the error on held-out blocks. Then the smallest choice within one standard
+error of the best one counts; unnecessary terms are dropped, and each term is exchanged for its rivals. The held-out
+errors of all choices come from one set of normal equations. Alternatives that the held-out readings do not separate
+from the choice are listed, as are effects that are confounded with the chosen ones.
 """
 
 from collections.abc import Sequence
@@ -22,17 +22,17 @@ from rtec.machine.chain import component_unit
 Floats = NDArray[np.float64]
 
 NEAR = 0.02
-"""Left-out errors that differ by less than this share decide nothing."""
+"""Held-out errors that differ by less than this share do not decide."""
 SAME = 0.1
-"""Predictions that differ by less than this share of what is left are the same prediction."""
+"""Predictions count as equal if they differ by less than this share of the residual."""
 TRIED = 80
 
 
 def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedTerm]:
-    """Exchange each temperature, difference or speed of a choice for every other, and list what is as good.
+    """Exchange each temperature, difference or speed of a choice for every other one, and list those that are as good.
 
-    Another lag of the same sensor is no rival. Of each sensor, and of each effect of another component, the best is
-    given: what predicts something else first, then what predicts the same and is another cause.
+    Another lag of the same sensor is no rival. The list has the best one of each sensor and of each effect of another
+    component: first those with different predictions, then those with the same prediction.
     """
     out: list[UndecidedTerm] = []
     here = float(np.sqrt(table.held_out(chosen)))
@@ -58,12 +58,12 @@ def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedT
 
 
 def _may_stand_for(other: TermCandidate, mine: TermCandidate) -> bool:
-    """Whether another sensor or speed drives it, or it is in another component."""
+    """Whether a candidate is a rival of a chosen one: it has another sensor or speed, or another component."""
     return bool(other.feature) and (other.channels != mine.channels or other.component != mine.component)
 
 
 def _difference_um(table: "HeldOutTable", one: Sequence[int], other: Sequence[int]) -> float:
-    """Root mean square difference of two choices' predictions, nuisances left free."""
+    """Root mean square difference of two choices' predictions, with free nuisance parameters."""
     union = sorted({*one, *other})
     columns = [table.columns[i] for i in union]
     part = table.normal.pick(np.concatenate(columns))
@@ -80,25 +80,25 @@ def _difference_um(table: "HeldOutTable", one: Sequence[int], other: Sequence[in
 Ints = NDArray[np.int64]
 
 SHORTLIST = 40
-"""Each step tries so many of the candidates that explain most in sample on the left-out blocks."""
+"""Number of candidates, those that explain most in sample, that each step evaluates on the held-out blocks."""
 ALIKE = 1e-9
-"""Columns whose correlation is this near to one are the same, under two names: the first is kept."""
+"""Columns are the same if their correlation differs from one by less than this; the first one is kept."""
 TOGETHER = 1e-8
-"""A direction of a candidate's own columns below this share of the largest is not seen."""
+"""A direction of a candidate's own columns is not determined if it is below this share of the largest."""
 MOST_FEATURES = 4
-"""Temperatures, differences and speeds that one component error may depend on; one or two is usual [G 3.6]."""
+"""Largest number of temperatures, differences and speeds for one component error; one or two is usual [G 3.6]."""
 BLOCKS_EACH = 2
-"""And no more of them than one for so many left-out blocks: each must be seen to come and go more than once."""
+"""Held-out blocks for each of them at least: each must vary more than once."""
 PLAIN = ("scale", "squareness", "backlash", "servo_lag", "inertia")
-"""Effects that every machine has more or less of: where one was not chosen, that says nothing if nothing shows it."""
+"""Effects that every machine has to some degree: they may be confounded with chosen ones even if not chosen."""
 TWIST = 1
-"""Degree of a turn that grows along the axis; every machine has it more or less, and bends."""
+"""Degree of a rotation that grows along the axis; every machine has it to some degree, and bends, too."""
 HIDDEN = 1e-4
-"""A candidate of which a choice leaves less than this share makes the same readings as the choice."""
+"""A candidate is confounded with a choice if less than this share of it is independent of the choice."""
 
 
 class HeldOutTable:
-    """Left-out errors of choices, from the normal equations of all candidates."""
+    """Held-out errors of choices, from the normal equations of all candidates."""
 
     def __init__(
         self, normal: Normal, candidates: Sequence[TermCandidate], single: Sequence[frozenset[Drive]] = ()
@@ -113,14 +113,14 @@ class HeldOutTable:
         self._known: dict[tuple[int, ...], Floats] = {}
 
     def errors(self, chosen: Sequence[int]) -> Floats:
-        """Mean squares of each fold, left out, (folds,); as shares of all readings, so they add up."""
+        """Sum of squares of each held-out fold over the freedom of all readings, (folds,): parts of the mean square."""
         key = tuple(sorted(chosen))
         if key not in self._known:
             self._known[key] = self._folds(self._index(chosen), inside=False)
         return self._known[key]
 
     def _folds(self, columns: Ints, *, inside: bool) -> Floats:
-        """Mean squares of each fold, by the fit to all or by that without it, (folds,)."""
+        """As `errors`, by the fit to all readings (`inside`) or by the one without the fold, (folds,)."""
         if self.normal.alone.any():
             part = self.normal.pick(columns)
             squares = part.held_out()[int(inside)]
@@ -137,13 +137,13 @@ class HeldOutTable:
         return float(self._folds(self._index(chosen), inside=True).sum())
 
     def held_out(self, chosen: Sequence[int]) -> float:
-        """Mean square on left-out blocks."""
+        """Mean square on held-out blocks."""
         return float(self.errors(chosen).sum())
 
     def held_out_beside(self, chosen: Sequence[int], tried: Sequence[int]) -> Floats:
-        """Mean squares on left-out blocks of a choice with one more candidate, for each of those tried, (tried,).
+        """Mean squares on held-out blocks of a choice with one more candidate, one for each in `tried`, (tried,).
 
-        The choice is solved once for all of them; a candidate then takes its share of what the choice leaves.
+        The choice is solved once; each candidate is then fitted to its residual.
         """
         if self.normal.alone.any() or not tried:
             return np.array([self.held_out([*chosen, i]) for i in tried])
@@ -154,7 +154,7 @@ class HeldOutTable:
         rest, scale = ridged(parts.sum(axis=0) - parts, NOTHING * self.normal.raw[index[:-1]])
         by_choice = np.linalg.solve(rest[:, :p, :p], rest[:, :p, p:])
         left = rest[:, p:, p:] - rest[:, p:, :p] @ by_choice
-        # Each new column, and the readings, less what the choice makes of them; then their products in the fold itself.
+        # New columns and readings, orthogonal to the choice outside the fold; then their products in the fold itself.
         own = np.broadcast_to(np.eye(len(index) - p), (len(parts), len(index) - p, len(index) - p))
         beside = np.concatenate([-by_choice, own], axis=1)
         seen = beside.transpose(0, 2, 1) @ (parts * scale[:, :, None] * scale[:, None, :]) @ beside
@@ -170,7 +170,7 @@ class HeldOutTable:
         return out
 
     def shortlist(self, chosen: Sequence[int], most: int = SHORTLIST, *, rivals: bool = False) -> list[int]:
-        """Candidates that would explain most of what a choice leaves in sample; with rivals those not offered, too."""
+        """Candidates that explain most of a choice's residual in sample; `rivals`: also those that are not offered."""
         d, e, _ = residual_parts(self.normal, self._index(chosen))
         raw = self.normal.raw[: self.normal.width]
         gain = np.where(d > VISIBLE * raw, e * e / np.where(d > 0, d, 1.0), 0.0)
@@ -181,15 +181,15 @@ class HeldOutTable:
         features = self._features(chosen)
         drives = [drive(self.candidates[i].term.effect) for i in chosen]
         room = [i for i in order if self._room(i, features) and not self._cancels(i, drives)]
-        # One spindle heats one way, an oil film lifts one way: two powers of a speed would only haggle over it.
+        # A spindle's heat and an oil film have one power of the speed each: two powers would share one effect.
         speeds = {self._of_speed(i) for i in chosen} - {None}
         return [i for i in room if self._of_speed(i) not in speeds][:most]
 
     def confounded(self, chosen: Sequence[int]) -> list[tuple[int, int, float]]:
-        """Plain effects that were not chosen and that make the same readings as what was.
+        """Plain effects that were not chosen and are confounded with chosen ones.
 
-        Gives for each the number of the chosen candidate and its own, and how much the chosen one's coefficient holds
-        of it, in units of the one per unit of the other.
+        Gives for each the index of the chosen candidate, its own index, and its share in the chosen one's coefficient,
+        in units of the chosen one per unit of its own.
         """
         index = self._index(chosen)
         owner, raw = self.normal.owner[index], self.normal.raw
@@ -212,20 +212,20 @@ class HeldOutTable:
         return out
 
     def _other(self, i: int, k: int) -> bool:
-        """Whether a candidate is another fact than a chosen one: no other name for it, nor behind a lever arm."""
+        """Whether a candidate is physically different from a chosen one: no other name, not behind a lever arm."""
         mine, other = self.candidates[i], self.candidates[k]
         same_angle = mine.effect == other.effect == "squareness" and mine.component[:2] == other.component[:2]
         same_shape = mine.component == other.component and {mine.kind, other.kind} <= {"position", "region"}
         return not same_angle and not same_shape and (other.direct or not mine.direct)
 
     def constant(self, i: int) -> int | None:
-        """The candidate that has the shape of a temperature's at constant temperature; None where none is shown."""
+        """The usable candidate with a temperature's shape at constant temperature; None where there is none."""
         shape = at_constant_temperature(self.candidates[i], self.candidates)
         k = None if shape is None else list(self.candidates).index(shape)
         return k if k is not None and self.usable[k] else None
 
     def _of_speed(self, i: int) -> tuple[str, str] | None:
-        """Component and kind of a candidate that goes with a power of a speed; None of others."""
+        """Component and kind of a candidate that depends on a power of a speed; None for others."""
         candidate = self.candidates[i]
         return (candidate.component, candidate.kind) if candidate.kind in ("speed", "velocity") else None
 
@@ -237,13 +237,13 @@ class HeldOutTable:
         return out
 
     def _room(self, i: int, features: dict[str, set[str]]) -> bool:
-        """Whether a component may have this candidate's feature too."""
+        """Whether a component may depend on this candidate's feature, too."""
         candidate = self.candidates[i]
         there = features.get(candidate.component, set())
         return not candidate.feature or candidate.feature in there or len(there) < self.most_features
 
     def _cancels(self, i: int, drives: Sequence[Drive]) -> bool:
-        """Whether a candidate is one of those of which a choice may have one only, and has one."""
+        """Whether a choice already has one of the drives of which it may have only one, this candidate's included."""
         mine = drive(self.candidates[i].term.effect)
         return any(mine in only and not only.isdisjoint(drives) for only in self.single)
 
@@ -261,9 +261,9 @@ def _plain(candidate: TermCandidate) -> bool:
 def _shown(
     normal: Normal, columns: Sequence[Ints], offered: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], dict[int, list[int]]]:
-    """Candidates that the readings show and that are not the very column of one before them, offered ones first.
+    """Whether the readings show each candidate, and its column is not that of an earlier one (offered ones are first).
 
-    And for each of which that is so, those that are its column.
+    And for each of these candidates the ones with the same column.
     """
     d, _, _ = residual_parts(normal, np.zeros(0, dtype=np.int64))
     seen = d > VISIBLE * normal.raw[: normal.width]
@@ -282,7 +282,7 @@ def _shown(
 
 
 def _apart(normal: Normal, own: Ints) -> bool:
-    """Whether the readings tell a candidate's own columns from each other and from the nuisances."""
+    """Whether the readings separate a candidate's columns from each other and from the nuisance parameters."""
     if len(own) < 2:
         return True
     left = residual_gram(normal, own)
@@ -293,11 +293,11 @@ def _apart(normal: Normal, own: Ints) -> bool:
 
 MOST_TERMS = 40
 PAYS = 0.002
-"""The left-out error falls by at least this share, or the step was in vain."""
+"""A step counts as progress if the held-out error falls by at least this share."""
 PATIENCE = 2
-"""So many steps in vain end the search."""
+"""The search ends after this many steps without progress."""
 SIMPLER = 0.005
-"""Of candidates whose left-out errors differ by less than this share, the simplest is taken."""
+"""If held-out errors of candidates differ by less than this share, the simplest one is chosen."""
 SWAPS = 3
 KINDS = (
     "position",
@@ -316,7 +316,7 @@ KINDS = (
 
 @dataclass(frozen=True)
 class ChoiceStep:
-    """One step of the search: what was added, and the error, in units of the rough noise, inside and left out."""
+    """One step of the search: the added term, and the errors in sample and held out, in units of the rough noise."""
 
     label: str
     inside: float
@@ -325,14 +325,14 @@ class ChoiceStep:
 
 @dataclass(frozen=True)
 class TermChoice:
-    """What was chosen.
+    """Result of a choice.
 
     Attributes:
-        chosen: candidates, as numbers of the list that was given.
-        steps: the way there.
-        held_out: root mean square on left-out blocks, in units of the rough noise.
-        rivals: other choices that are as good.
-        confounded: what makes the same readings as what was chosen, as `HeldOutTable.confounded` gives it.
+        chosen: indices of the chosen candidates.
+        steps: steps of the search.
+        held_out: root mean square on held-out blocks, in units of the rough noise.
+        rivals: alternatives that are as good.
+        confounded: effects that are confounded with chosen ones, see `HeldOutTable.confounded`.
     """
 
     chosen: tuple[int, ...]
@@ -349,14 +349,14 @@ def choose(
     progress: Progress | None = None,
     single: Sequence[frozenset[Drive]] = (),
 ) -> TermChoice:
-    """Choose among candidates by their left-out errors; those that are forced stay.
+    """Choose among candidates by their held-out errors; forced ones always stay.
 
     Args:
-        normal: of all candidates.
-        candidates: among which it chooses.
-        forced: by number.
-        progress: told how far it is.
-        single: drives of which a choice may have one only, because two of them cancel.
+        normal: normal equations of all candidates.
+        candidates: the candidates.
+        forced: indices of candidates that must be in the choice.
+        progress: callback, called with the number of steps done and in total.
+        single: drives of which a choice may have only one, because two of them cancel.
     """
     table = HeldOutTable(normal, candidates, single)
     forced = independent(normal, [table.columns[i] for i in forced], forced)
@@ -375,14 +375,14 @@ def choose(
 
 
 def one_standard_error(worse: Floats, better: Floats) -> bool:
-    """Whether left-out errors fold by fold do not speak for the better choice: gain within one standard error."""
+    """Whether the gain of the better choice, fold by fold, is within one standard error."""
     gain = worse - better
     spread = np.std(gain, ddof=1) * np.sqrt(len(gain)) if len(gain) > 1 else 0.0
     return bool(gain.sum() <= spread)
 
 
 def independent(normal: Normal, columns: Sequence[Ints], items: Sequence[int]) -> list[int]:
-    """Those of some items, in order, whose columns the readings can tell from the ones before."""
+    """The items, in order, whose columns the readings separate from those of the items before them."""
     kept: list[int] = []
     index = np.zeros(0, dtype=np.int64)
     for item, own in zip(items, columns, strict=True):
@@ -416,13 +416,13 @@ def _forward(
 
 
 def _simplest(table: HeldOutTable, tried: Sequence[int], errors: Floats) -> int:
-    """Of the candidates that are as good as the best, the simplest.
+    """The simplest of the candidates that are as good as the best.
 
-    What the readings show as it is comes before what reaches them through a lever arm: an instrument that stands at
-    one arm cannot distinguish an angle from a shift, and on the rest of the machine they are not the same.
+    A component that the readings show directly has priority over one behind a lever arm: an instrument with only one
+    arm cannot distinguish an angle from a shift, though both differ elsewhere on the machine.
     """
     near = np.flatnonzero(errors <= errors.min() * (1 + SIMPLER)).tolist()
-    # The first of equals: rounding decides nothing, so the order of the candidates does.
+    # The first of equal ones: the order of the candidates decides, not rounding.
     ranks = [(*_complexity(table, tried[k]), round(errors[k] / errors.min(), 6), tried[k]) for k in near]
     return min(ranks)[-1]
 
@@ -441,13 +441,13 @@ def _best(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:
 
 
 def _smallest_good(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:
-    """The first choice of the path that is within one standard error of the path's best."""
+    """The first choice of the path that is within one standard error of the best."""
     best = table.errors(_best(table, path))
     return next(c for c in path if one_standard_error(table.errors(c), best))
 
 
 def _drop(table: HeldOutTable, chosen: list[int], forced: list[int], best: Floats) -> list[int]:
-    """Drop terms, the least missed first, while what is left stays within one standard error of the best."""
+    """Drop the least important term while the error of the others stays within one standard error of the best."""
     while len(chosen) > len(forced):
         fewer = min(([j for j in chosen if j != i] for i in chosen if i not in forced), key=table.held_out)
         if not one_standard_error(table.errors(fewer), best):
@@ -457,9 +457,9 @@ def _drop(table: HeldOutTable, chosen: list[int], forced: list[int], best: Float
 
 
 def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
-    """The choice with terms exchanged one by one, where that lowers the left-out error for good.
+    """The choice with terms exchanged one by one, where that lowers the held-out error.
 
-    Or where a simpler shape does as well beside what was found after the one that was taken.
+    Or where a simpler shape is as good, now that the choice has terms which were added after the more complex shape.
     """
     now = list(chosen)
     for i in chosen:
@@ -479,21 +479,21 @@ def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[
 
 
 def _simpler_shape(table: HeldOutTable, i: int, k: int) -> bool:
-    """Whether a candidate is a simpler shape than the regions or cross-talk that another one is."""
+    """Whether a candidate is a simpler shape than another one that consists of regions or cross-talk."""
     plain = not table.candidates[i].feature and table.candidates[k].kind in ("cross", "region")
     return plain and _complexity(table, i) < _complexity(table, k)
 
 
 def _room_for_simpler(table: HeldOutTable, i: int, k: int) -> float:
-    """By which factor the left-out error may rise for a simpler shape: not at all where it is in another component."""
+    """Factor by which the held-out error may rise for a simpler shape; one where it is in another component."""
     return 1 + SIMPLER * (table.candidates[i].component == table.candidates[k].component)
 
 
 def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
     """The choice with all temperatures of one component and form replaced by one, where that is as good.
 
-    Forward search often takes two near-enough temperatures before it has seen the right one. Beside the right one
-    stands the same shape at constant temperature, because the machine need not be without error at the reference.
+    Forward selection often adds two similar temperatures instead of the right one. The right one gets the same shape at
+    constant temperature beside it, because the machine may have an error at the reference temperature, too.
     """
     forms: dict[tuple[str, str], list[int]] = {}
     for i in chosen:

@@ -1,11 +1,11 @@
-"""Where the axes were while a component was read: what of it the readings cover.
+"""Coverage: the positions of the axes at which a component was read.
 
-A polynomial runs away beyond its readings and in gaps between them, the faster the higher its degree; so the degree
-is limited by the places at which a component was read.
+A polynomial diverges beyond its readings and in gaps between them, the faster the higher its degree; therefore the
+places at which a component was read limit the degree.
 
-The travels of an axis and of another are cut into thirds. A component of the one that changes with the other is
-looked for where every one of the nine cells was visited while the first axis moved; else the cells that are missing
-are reported, because beyond them a product of polynomials is a guess [XT 2].
+The travels of two axes are divided into thirds. A component of one axis that changes with the other is a candidate if
+all nine cells were visited while the first axis moved. Otherwise the missing cells are reported, because a product of
+polynomials is not determined there [XT 2].
 """
 
 import itertools
@@ -24,18 +24,18 @@ Bools = NDArray[np.bool_]
 
 PARTS = 3
 LEAST = 5
-"""Readings in a cell that make it visited."""
+"""Smallest number of readings for a cell to count as visited."""
 SPEEDS = 1.5
-"""Largest over smallest speed from which on an error may be said to go with the speed."""
+"""Smallest ratio of largest to smallest speed for which an error may depend on the speed."""
 
 GROWS = 10.0
-"""An error of a polynomial within the readings is no more than so many times as large at the ends of the travel."""
+"""Largest factor by which an error of a polynomial may grow from the readings to the ends of the travel."""
 SAME_MM = 0.02
-"""Readings at places nearer to each other are at one place."""
+"""Readings nearer than this to each other are at one place."""
 
 
 def places_mm(sources: Sequence[Source], component: str, axis: Axis) -> NDArray[np.float64]:
-    """Places of an axis at which a component was read while the axis moved, rising, mm; none where it never was."""
+    """Places of an axis at which a component was read while the axis moved, rising, mm; empty where it did not."""
     mine = [
         s.measurement.channels[axis.channel]
         for s in sources
@@ -62,7 +62,7 @@ def highest_degree(places: NDArray[np.float64], axis: Axis) -> int:
 
 
 def visited_cells(sources: Sequence[Source], axis: Axis, other: Axis) -> Bools:
-    """Which thirds of an axis' travel were visited with the other in which of its own, (3 of the axis, 3 of other)."""
+    """Whether each pair of thirds of two axes' travels was visited, (3 of the axis, 3 of the other)."""
     count = np.zeros((PARTS, PARTS), dtype=np.int64)
     for source in sources:
         if moves(source.measurement, axis):
@@ -79,26 +79,26 @@ def followed(sources: Sequence[Source], component: str, axis: Axis, other: Axis)
 
 
 def several_speeds(sources: Sequence[Source], component: str, axis: Axis) -> bool:
-    """Whether an axis moved at several speeds, and all measurements that read its component say how fast it was."""
+    """Whether an axis moved at several speeds, and all measurements that read its component recorded the speed."""
     mine = [s for s in sources if reads(s, component)]
     going = _known_rate(mine, axis, axis.velocity_channel)
     return bool(len(going)) and float(np.quantile(going, 0.98)) > SPEEDS * float(np.quantile(going, 0.02))
 
 
 def accelerated(sources: Sequence[Source], component: str, axis: Axis) -> bool:
-    """Whether an axis was read under acceleration, and all measurements that read its component say under which."""
+    """Whether an axis was read under acceleration, and all measurements that read its component recorded it."""
     return bool(len(_known_rate([s for s in sources if reads(s, component)], axis, axis.acceleration_channel)))
 
 
 def _known_rate(sources: Sequence[Source], axis: Axis, channel: str) -> NDArray[np.float64]:
-    """Sizes of a velocity or acceleration that are not zero; none where a measurement does not say."""
+    """Absolute values of a velocity or acceleration that are not zero; empty where a measurement did not record it."""
     known = [s.rate(axis, channel) for s in sources]
     whole = np.abs(np.concatenate([v for v in known if v is not None] or [np.zeros(0)]))
     return whole[whole > 0.0] if all(v is not None for v in known) else np.zeros(0)
 
 
 def cover_warnings(sources: Sequence[Source]) -> list[Warn]:
-    """Where grid plates were laid too few to follow one axis over another, and where to lay them."""
+    """Warnings where too few grid-plate positions cover one axis over another, and where to place further plates."""
     plates = [s for s in sources if isinstance(s.measurement.instrument, GridEncoder)]
     if not plates:
         return []
@@ -117,7 +117,7 @@ def cover_warnings(sources: Sequence[Source]) -> list[Warn]:
 
 
 def _places(cells: Bools, axis: Axis, other: Axis) -> str:
-    """Middles of plates that would visit the cells that are missing."""
+    """Centres of plates that would visit the missing cells."""
     missing = [(float(_middle(axis, i)), float(_middle(other, j))) for i, j in np.argwhere(~cells)]
     a, b = axis.channel, other.channel
     said = "; ".join(f"{a} {p:g}, {b} {q:g}" for p, q in missing)

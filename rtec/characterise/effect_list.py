@@ -1,4 +1,4 @@
-"""Reads `--effects`: which effects to fit, and no others."""
+"""Reads `--effects`: the only effects to fit."""
 
 import json
 import re
@@ -18,10 +18,10 @@ ALL = "*"
 
 @dataclass(frozen=True)
 class AskedEffects:
-    """What was asked for.
+    """Effects that the user named.
 
     Attributes:
-        names: effects that may be chosen, for any component that the readings see.
+        names: effects that may be chosen for any component that influences the readings.
         exact: effects with all their arguments, fitted without a choice.
     """
 
@@ -32,11 +32,11 @@ class AskedEffects:
 def read_wanted(text: str, machine: Machine) -> AskedEffects:
     """Read `scale,backlash,mount_expansion:EXX:sensor=T_bed`.
 
-    A name alone lets components and sensors be chosen. A name with a component, and arguments as `key=value`, is
-    fitted as it stands; `sensor=*` stands for every sensor of the machine.
+    For a name alone, components and sensors are chosen. A name with a component, and arguments as `key=value`, is
+    fitted exactly so; `sensor=*` means every sensor of the machine.
 
     Raises:
-        ModelError: unknown effect, component or argument; the message says which and what is allowed.
+        ModelError: an effect, component or argument is unknown; the message has what is allowed.
     """
     names: list[str] = []
     exact: list[Effect] = []

@@ -1,4 +1,4 @@
-"""Puts chosen columns together into as few effects as say the same."""
+"""Groups chosen columns into the fewest effects with the same columns."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,7 +8,7 @@ from rtec.effects import Effect
 from rtec.estimation.gram.stream import Term
 
 
-def tidied(terms: Sequence[Term]) -> list[Term]:
+def joined(terms: Sequence[Term]) -> list[Term]:
     """Join polynomials, backlashes, cross-talk and harmonics of one component and axis; the columns stay the same."""
     out: list[Term] = []
     for term in terms:
@@ -16,13 +16,13 @@ def tidied(terms: Sequence[Term]) -> list[Term]:
         if place is None:
             out.append(term)
         else:
-            joined = _join(out[place], term)
-            out[place] = joined if joined is not None else out[place]
+            whole = _join(out[place], term)
+            out[place] = whole if whole is not None else out[place]
     return out
 
 
 def apart(term: Term) -> list[Term]:
-    """The terms that `tidied` joined to this one: each has its own column, and is judged by its own number."""
+    """The terms that `joined` combined into this one, each with its own column."""
     effect = term.effect
     if effect.effect == "polynomial_position":
         return [replace(term, effect=_with(effect, degrees=(k,))) for k in _get(effect, "degrees")]
@@ -34,7 +34,7 @@ def apart(term: Term) -> list[Term]:
 def _join(one: Term, other: Term) -> Term | None:
     a, b = one.effect, other.effect
     if a == b and a.effect == "guide_lift":
-        return one  # its power is found in the fit
+        return one  # the fit estimates its power
     if (
         a.component != b.component
         or getattr(a, "axis", None) != getattr(b, "axis", 0)

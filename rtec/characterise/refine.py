@@ -1,7 +1,7 @@
-"""Finds time constants between those that were tried.
+"""Estimates time constants between those of the candidates.
 
-Of a large expansion the nearest time constant of a few leaves much. A search then adds the same temperature with
-another delay, or another temperature, and both cancel on another day.
+For a large expansion the nearest one of a few time constants has a large residual. A search would then add the same
+temperature with another delay, or another temperature, and their sum would be wrong on another day.
 """
 
 from collections.abc import Sequence
@@ -15,21 +15,21 @@ from rtec.estimation.gram.source import Source, thinned
 from rtec.estimation.gram.stream import gather
 
 READINGS = 5_000
-"""A search looks at about so many instants of each measurement."""
+"""Approximate number of instants of each measurement in a search."""
 
 
 def refined(
     sources: Sequence[Source], chosen: Sequence[TermCandidate], candidates: Sequence[TermCandidate]
 ) -> list[TermCandidate]:
-    """Give each lagged temperature of a choice with the time constant at which it alone explains most.
+    """Each lagged temperature of a choice, with the time constant at which it alone explains most.
 
-    Alone: in place of all temperatures that the choice has in its component and form, and beside the same shape at
+    Alone means: instead of all temperatures of the choice in its component and form, and beside the same shape at
     constant temperature.
 
     Args:
-        sources: measurements.
-        chosen: what was chosen.
-        candidates: among which it was chosen.
+        sources: the measurements.
+        chosen: the chosen candidates.
+        candidates: all candidates.
     """
     few = [thinned(s, READINGS) for s in sources]
     out: dict[Drive, TermCandidate] = {}
@@ -49,7 +49,7 @@ def _form(candidate: TermCandidate) -> tuple[str, str]:
 
 
 def _polished(sources: Sequence[Source], one: TermCandidate, beside: Sequence[TermCandidate]) -> TermCandidate | None:
-    """A candidate with the parameters that fit best beside others; None where the readings do not show it there."""
+    """A candidate with the parameters that fit best beside others; None where the readings do not determine it."""
     terms = [one.term, *(c.term for c in beside)]
     terms = [terms[i] for i in tellable(gather(sources, terms), terms)]
     if one.term not in terms:

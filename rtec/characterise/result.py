@@ -1,4 +1,4 @@
-"""What a characterisation gives: the model, how good it is, how it was chosen, and what to beware of."""
+"""Result of a characterisation: the model, its errors, the search, and warnings."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -17,11 +17,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Warn:
-    """Something to beware of.
+    """A warning.
 
     Attributes:
         code: short name, the same in `docs/fit.md`.
-        text: what was found, with numbers.
+        text: the finding, with numbers.
         remedy: what to do about it.
     """
 
@@ -32,17 +32,17 @@ class Warn:
 
 @dataclass(frozen=True)
 class MeasurementFit:
-    """How well one measurement is met; root mean squares, as `compare` has them.
+    """Errors of the model in one measurement; root mean squares, as in `compare`.
 
     Attributes:
-        name, instrument: of it.
-        unit: "um" or "urad" of its readings; "noise" (multiples of it) where it reads both.
-        readings: how many count.
-        measured: readings less what the instrument cannot know, before any machine error is taken out.
-        inside: what the model leaves.
-        held_out: the same on held-out runs.
-        floor: the noise.
-        blocks: how it was cut, in words.
+        name, instrument: of the measurement.
+        unit: unit of the readings, "um" or "urad"; "noise" (multiples of it) where it reads both.
+        readings: number of used readings.
+        measured: readings without the instrument's nuisance parameters, before the model is subtracted.
+        inside: residual in sample.
+        held_out: residual on held-out runs.
+        floor: noise floor.
+        blocks: division into blocks, in words.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class Correlated:
-    """How one temperature, difference or speed goes with a component error."""
+    """Correlation of one temperature, difference or speed with a component error."""
 
     component: str
     feature: str
@@ -83,7 +83,7 @@ class Correlated:
 
 @dataclass(frozen=True)
 class SearchStep:
-    """One step of the search: what was added, and the error in sample and held out, relative to that of nothing."""
+    """One step of the search: the added term, and the error in sample and held out, relative to that without terms."""
 
     added: str
     inside: float
@@ -92,14 +92,14 @@ class SearchStep:
 
 @dataclass(frozen=True)
 class UndecidedTerm:
-    """Another choice that is as good on the left-out blocks.
+    """An alternative that is as good on the held-out blocks.
 
     Attributes:
-        instead_of, candidate: labels of the term and of what might stand in its place.
-        component: that it feeds.
-        channels: what drives the rival.
-        held_out, chosen_held_out: root mean squares on left-out blocks, in units of the rough noise.
-        apart: root mean square difference of the two predictions where there are readings, in the same units.
+        instead_of, candidate: labels of the term and of its alternative.
+        component: component error of the term.
+        channels: channels that drive the alternative.
+        held_out, chosen_held_out: root mean squares on held-out blocks of both, in units of the rough noise.
+        apart: root mean square difference of the two predictions at the readings, in the same units.
     """
 
     instead_of: str
@@ -113,23 +113,23 @@ class UndecidedTerm:
 
 @dataclass(frozen=True)
 class Characterisation(Result):
-    """A machine characterised.
+    """Result of a characterisation.
 
     Attributes:
-        model: to be saved.
-        measurements: how well each is met.
+        model: the fitted model.
+        measurements: errors in each measurement.
         coefficients: every number with its standard error.
         condition: condition number of the scaled design.
-        inside_rms, held_out_rms: of all readings, in the unit of `unit`.
+        inside_rms, held_out_rms: root mean squares of all residuals, in the unit of `unit`.
         unit: "um"; "urad" where there are angles only; "noise" (multiples of it) where there are both.
-        steps: the search; empty where nothing was chosen.
-        undecided: choices that are as good as the one that was made.
-        correlations: the best of each component error.
-        outliers: wrong readings that were left out.
+        steps: steps of the search; empty where there was no choice.
+        undecided: alternatives that are as good as the choice.
+        correlations: the largest ones of each component error.
+        outliers: outliers that were removed.
         warnings: in words.
-        notes: what was said of each measurement as it was read (missing readings, what was accepted), by its name.
-        residuals: for figures: measurement name to hours, (n,), and readings minus prediction, (readings, n).
-        judged: the model on its readings as every command judges it.
+        notes: notes on each measurement from its file (missing readings, what was accepted), by its name.
+        residuals: for figures: hours, (n,), and readings minus prediction, (readings, n), by measurement name.
+        judged: the model on its readings, judged as by every command.
     """
 
     page_maker: ClassVar[str] = "rtec.report.fit:fit_page"
@@ -151,7 +151,7 @@ class Characterisation(Result):
     residuals: dict[str, tuple[Floats, Floats]] = field(default_factory=dict, repr=False)
 
     def rows(self) -> list[Mapping[str, Any]]:
-        """The coefficients."""
+        """One row a coefficient."""
         return [asdict(c) for c in self.coefficients]
 
     def facts(self) -> dict[str, Any]:

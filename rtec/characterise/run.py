@@ -1,4 +1,4 @@
-"""Characterises a machine: measurements in, geometric-thermal model out."""
+"""Characterises a machine: from measurements to a geometric-thermal model."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from rtec.characterise.assemble import assemble, model_of
 from rtec.characterise.candidates import Drive, TermCandidate, at_constant_temperature, drive
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
-from rtec.characterise.grouping import apart, tidied
+from rtec.characterise.grouping import apart, joined
 from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
@@ -40,17 +40,17 @@ from rtec.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
-"""Told what is going on, how much of it is done, of how much."""
+"""Progress callback: called with the name of a stage, the number of steps done, and their total."""
 
 SEARCHED = 20_000
-"""Starting values of non-linear parameters come from so many instants of each measurement."""
+"""Number of instants of each measurement for starting values of non-linear parameters."""
 WORSE = 1.01
-"""Parameters from the search that raise the held-out error by more than this go back to those of the choice."""
+"""If parameters from the search raise the held-out error by more than this share, those of the choice are used."""
 QUADRATIC = 2
 PLACES = ("position", "region", "cyclic")
 """Kinds of what depends on positions only."""
 PITCHES = 41
-"""Pitches that are tried for a wave without the targets that are held out."""
+"""Number of pitches at which a wave is fitted without the held-out targets."""
 
 
 def characterise(
@@ -62,21 +62,21 @@ def characterise(
     margin: Margin | None = None,
     stage: Stage | None = None,
 ) -> Characterisation:
-    """Choose the effects that the measurements show, fit them, and say how far they can be trusted.
+    """Choose the effects that the measurements show, fit them, and judge the model.
 
     The same measurements give the same model to the last bit.
 
     Args:
-        measurements: of one machine, by any instruments.
-        wanted: effects to fit, and no others; None for a free choice.
-        leave_out_h: hours that are left out together; by default whole runs, or 4 h where there are few runs.
-        name: of the model.
-        margin: how far the valid ranges reach beyond the readings.
-        stage: told how far it is.
+        measurements: measurements of one machine, by any instruments.
+        wanted: the only effects to fit; None for a free choice.
+        leave_out_h: hours that are held out together; by default whole runs, or 4 h where there are few runs.
+        name: name of the model.
+        margin: how far the valid ranges extend beyond the readings.
+        stage: progress callback, see `Stage`.
 
     Raises:
-        MeasurementError: no measurement, measurements of different machines, or a channel with missing values.
-        ModelError: nothing can be fitted, or what was asked for is not shown by the readings.
+        MeasurementError: there is no measurement, machines differ, or a channel has missing values.
+        ModelError: nothing can be fitted, or the readings do not show a named effect.
     """
     with one_blas_thread():
         given, doubt = _given(measurements, leave_out_h)
@@ -90,12 +90,12 @@ def characterise(
 def fitted_model(
     measurements: Sequence[Measurement], *, wanted: AskedEffects | None = None, name: str = "model"
 ) -> Model:
-    """Fit as `characterise` does, for predictions only: it judges nothing, which takes longer than the fit.
+    """Fit as `characterise`, for predictions only: without the judgement, which takes longer than the fit.
 
-    Files that contradict the others are left out without a warning.
+    Files that contradict the others are excluded without a warning.
 
     Raises:
-        MeasurementError, ModelError: as `characterise` does.
+        MeasurementError, ModelError: as `characterise`.
     """
     with one_blas_thread():
         given, doubt = _given(measurements, None)
@@ -103,7 +103,7 @@ def fitted_model(
 
 
 def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
-    """Leave out wrong readings, files that contradict the others, and runs whose zero has moved; warn of the latter."""
+    """Exclude outliers, files that contradict the others, and runs whose zero has moved; a warning on the latter."""
     _check(measurements)
     given = clean(measurements, leave_out_h=leave_out_h).without_ends()
     found = contradiction(Judgement(Model(measurements[0].machine), given))
@@ -153,15 +153,15 @@ def _fit_to(
     _check_channels(sources, exact)
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     if wanted is not None and not wanted.names:
-        return _sure(sources, fixed, [], _asked_terms(wanted), 0, tell), None, None
+        return _significant(sources, fixed, [], _is_named(wanted), 0, tell), None, None
     one_way = wanted is None and any(p.one_way for p in one_pass(given.readings))
-    asked, rules = _asked_terms(wanted), _Rules(places_only=one_way)
+    named, rules = _is_named(wanted), _Rules(places_only=one_way)
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
-        chosen = tidied(_with_constant(screened, choice, rules))
+        chosen = joined(_with_constant(screened, choice, rules))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
-        fit = _sure(sources, fixed, chosen, asked, sum(c.offered for c in screened.candidates), tell)
-        further = _further_rules(given.readings, fit, len(fixed), asked, rules)
+        fit = _significant(sources, fixed, chosen, named, sum(c.offered for c in screened.candidates), tell)
+        further = _further_rules(given.readings, fit, len(fixed), named, rules)
         if further == rules:
             return fit, screened, choice
         rules = further
@@ -169,12 +169,12 @@ def _fit_to(
 
 @dataclass(frozen=True)
 class _Rules:
-    """What an earlier choice showed.
+    """Rules for a choice from an earlier fit.
 
     Attributes:
-        single: drives of which a choice may have one only: two of them cancel.
-        barred: drives that a choice may not have: waves that do not predict targets that were held out.
-        places_only: whether it may have nothing but what depends on positions: an axis that never came back shows no
+        single: drives of which a choice may have only one: two of them cancel.
+        barred: drives that a choice must not have: waves that do not predict held-out targets.
+        places_only: whether a choice may only have what depends on positions: an axis that never came back shows no
             more.
     """
 
@@ -187,23 +187,23 @@ class _Rules:
         return drive(one.term.effect) not in self.barred and (not self.places_only or one.kind in PLACES)
 
     def cancel(self, one: TermCandidate, other: TermCandidate) -> bool:
-        """Whether a choice may have only one of both."""
+        """Whether a choice may have only one of the two."""
         return any({drive(one.term.effect), drive(other.term.effect)} <= only for only in self.single)
 
 
 def _further_rules(
-    readings: Readings, fit: Estimate, fixed: int, asked: Callable[[Term], bool], rules: _Rules
+    readings: Readings, fit: Estimate, fixed: int, named: Callable[[Term], bool], rules: _Rules
 ) -> _Rules:
-    """With what a fit shows that a choice must not have together, or not at all."""
+    """The rules, extended by drives that cancel in a fit, and waves that do not predict held-out targets."""
     cancelling = frozenset(drive(fit.terms[i].effect) for i in fit.undetermined if i >= fixed)
     single = (*rules.single, cancelling) if cancelling and cancelling not in rules.single else rules.single
-    waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not asked(t)]
+    waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not named(t)]
     barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
     return replace(rules, single=single, barred=barred)
 
 
 def _predicts(readings: Readings, fit: Estimate, wave: Term) -> bool:
-    """Whether a wave predicts targets that were held out, with a pitch that is found without them."""
+    """Whether a wave predicts held-out targets, with a pitch that is estimated without them."""
     machine = readings.machine
     beside = [readings.columns(t.effect, t.theta) for t in fit.terms if t is not wave]
     base = np.concatenate([np.zeros((len(readings), 0)), *beside], axis=1)
@@ -217,7 +217,7 @@ def _predicts(readings: Readings, fit: Estimate, wave: Term) -> bool:
 def _chosen(
     scaled: Sequence[Source], wanted: AskedEffects | None, rules: _Rules, tell: Stage
 ) -> tuple[Screened, TermChoice]:
-    """Choose twice: with what was found taken out, what stood behind something larger shows."""
+    """Choose twice: the first choice, subtracted, uncovers smaller effects for the second one."""
     tell("looking for what goes with what", 0, 1)
     names = wanted.names if wanted else None
     screened = _without(screen(scaled, names), rules)
@@ -229,7 +229,7 @@ def _chosen(
 
 
 def _without(screened: Screened, rules: _Rules) -> Screened:
-    """Without candidates that the rules do not allow."""
+    """The candidates that the rules allow."""
     return replace(screened, candidates=tuple(filter(rules.allow, screened.candidates)))
 
 
@@ -238,15 +238,17 @@ def _choose(screened: Screened, wanted: AskedEffects | None, rules: _Rules, tell
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
-    forced = [i for i, c in enumerate(candidates) if wanted is not None and c.offered and _asked(c.term.effect, c.kind)]
+    forced = [
+        i for i, c in enumerate(candidates) if wanted is not None and c.offered and _is_forced(c.term.effect, c.kind)
+    ]
     return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t), rules.single)
 
 
 def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> list[Term]:
-    """What was chosen, and beside each temperature the same shape without it.
+    """The chosen terms, and for each temperature the same shape at constant temperature.
 
-    A temperature that hardly changed, far from the reference, would else take the place of that shape: the readings
-    are met as well, and on a warmer day the model errs. Of both, what is not sure goes.
+    A temperature that hardly changed, far from the reference, could otherwise replace that shape: the fit is as good,
+    but on a warmer day the model is wrong. The one of both that is not significant is dropped later.
     """
     chosen = [screened.candidates[i] for i in choice.chosen]
     for candidate in tuple(chosen):
@@ -256,27 +258,27 @@ def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> lis
     return [c.term for c in chosen]
 
 
-def _asked(effect: Effect, kind: str) -> bool:
-    """Whether an effect that was named is fitted in any case: geometry is, up to quadratic; temperatures are chosen."""
+def _is_forced(effect: Effect, kind: str) -> bool:
+    """Whether a named effect is fitted without a choice: geometry up to quadratic is; temperatures are chosen."""
     return kind in ("position", "direction", "cyclic") and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
 
 
-def _asked_terms(wanted: AskedEffects | None) -> Callable[[Term], bool]:
+def _is_named(wanted: AskedEffects | None) -> Callable[[Term], bool]:
     names = wanted.names if wanted else ()
     return lambda term: term.effect.effect in names
 
 
-def _sure(
+def _significant(
     sources: Sequence[Source],
     fixed: list[Term],
     chosen: list[Term],
-    asked: Callable[[Term], bool],
+    named: Callable[[Term], bool],
     candidates: int,
     tell: Stage,
 ) -> Estimate:
-    """Fit, and drop what was chosen and is neither sure nor spared, the least sure first.
+    """Fit, and drop chosen terms that are neither significant nor spared, the least significant one first.
 
-    Degrees of a polynomial were chosen one by one, and are judged one by one.
+    Degrees of a polynomial were chosen one by one, and are tested one by one.
     """
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
@@ -284,13 +286,13 @@ def _sure(
         there = {_form(t) for i, t in enumerate(chosen) if sure[owner == i].max() >= 1.0}
         idle: list[tuple[float, int, list[Term]]] = []
         for i, term in enumerate(chosen):
-            # An effect that was asked for stays, but on one sensor: on another it must be sure as well.
-            if asked(term) and not (_sensed(term) and _form(term) in there):
+            # A named effect stays, but with one sensor only: further sensors must be significant.
+            if named(term) and not (_sensed(term) and _form(term) in there):
                 continue
             parts, columns = apart(term), np.flatnonzero(owner == i)
             for k, own in enumerate(np.split(columns, len(parts))):
                 if (s := float(sure[own].max())) < 1.0 and not spared(fit, own):
-                    idle.append((s, i, tidied([*parts[:k], *parts[k + 1 :]])))
+                    idle.append((s, i, joined([*parts[:k], *parts[k + 1 :]])))
         if not idle:
             return fit
         _, gone, rest = min(idle, key=lambda one: one[:2])
@@ -319,7 +321,7 @@ def _fitted(sources: Sequence[Source], terms: Sequence[Term], tell: Stage) -> Es
 
     try:
         fit = estimate(sources, terms, progress=progress)
-    except ModelError:  # parameters that were searched for may have made two terms one
+    except ModelError:  # the search may have made two terms the same
         return estimate(sources, terms, search=False, progress=progress)
     if fit.found.slopes or fit.found.on_bound:
         try:
@@ -334,7 +336,7 @@ def _fitted(sources: Sequence[Source], terms: Sequence[Term], tell: Stage) -> Es
 
 
 def _scale(fit: Estimate) -> float:
-    """Noise that the weights suppose, so that errors of two fits compare."""
+    """Noise that the weights assume; makes the errors of two fits comparable."""
     return float(np.sqrt(np.mean([np.mean(1.0 / np.maximum(s.weight[s.weight > 0], 1e-12) ** 2) for s in fit.sources])))
 
 
@@ -343,7 +345,7 @@ def _rough_weights(source: Source) -> Floats:
 
 
 def _without_wrong(sources: Sequence[Source], given: Clean) -> list[Source]:
-    """Leave out wrong readings."""
+    """The sources without outliers."""
     kept = [s.weight.copy() for s in sources]
     number = {s.measurement.name: i for i, s in enumerate(sources)}
     for w in given.wrong:

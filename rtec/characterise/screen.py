@@ -1,4 +1,4 @@
-"""Correlates each component error with every temperature, difference and lag, and keeps those worth a try [G 3.6]."""
+"""Correlates each component error with every temperature, difference and lag, and keeps the best ones [G 3.6]."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,28 +18,28 @@ from rtec.machine import Machine
 Floats = NDArray[np.float64]
 
 READINGS = 20_000
-"""Choosing uses about so many instants of each measurement at most."""
+"""Approximate largest number of instants of each measurement for the choice."""
 COLUMNS = 600
-"""Candidates that go on to the choice, all components together."""
+"""Number of candidates for the choice, all components together."""
 LEAST = 24
-"""And at least so many for each component."""
+"""Smallest number of candidates for each component."""
 VISIBLE = 1e-6
-"""A column of which geometry and nuisances leave less than this share is not seen."""
+"""A column is not visible if less than this share of it is independent of geometry and nuisance parameters."""
 BASE_DEGREE = 2
 STRAIGHT = ("scale", "squareness")
 ALONG = ("position", "direction", "region", "cyclic")
-"""Kinds of candidates that are a shape along the axis."""
+"""Kinds of candidates with a shape along the axis."""
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """How a candidate goes with a component error, once geometry and nuisances are taken out of both.
+    """Partial correlation of a candidate with a component error, without geometry and nuisance parameters.
 
     Attributes:
-        candidate: which.
+        candidate: the candidate.
         r: correlation, -1 … 1.
-        left: share of the candidate's own sum of squares that geometry and nuisances leave.
-        kept: whether it goes on to the choice.
+        left: share of the candidate's sum of squares that is independent of geometry and nuisance parameters.
+        kept: whether it is a candidate for the choice.
     """
 
     candidate: TermCandidate
@@ -50,12 +50,12 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Screened:
-    """What goes on to the choice.
+    """Input of the choice.
 
     Attributes:
-        sources: the measurements, thinned, blocks by fold.
-        seen: component errors that can be seen.
-        candidates: geometry of all, and what was kept.
+        sources: the measurements with fewer instants, blocks by fold.
+        seen: component errors that influence the readings.
+        candidates: geometry of all components, and the kept candidates.
         correlations: of each component with every candidate that depends on temperature or speed, best first.
         unused: sensors that are no candidates, and why, in words.
     """
@@ -70,13 +70,13 @@ class Screened:
 def screen(
     sources: Sequence[Source], allowed: Sequence[str] | None = None, known: Sequence[TermCandidate] = ()
 ) -> Screened:
-    """Find the candidates of every component error that the measurements can see.
+    """Screen the candidates of every component error that influences the readings.
 
     Args:
-        sources: measurements.
+        sources: the measurements.
         allowed: names of the effects that may be candidates; None for all.
-        known: what an earlier choice found. All of it stays a candidate. What it found in other components is taken
-            out before a component is looked at. Other effects of its temperatures are rivals, and cannot be chosen.
+        known: an earlier choice. All of it stays a candidate. Its terms in other components are subtracted before a
+            component is screened. Other effects of its temperatures are rivals, and cannot be chosen.
     """
     few = [thinned(s, READINGS) for s in sources]
     whole = [replace(s, blocks=s.blocks.one) for s in few]
@@ -89,7 +89,7 @@ def screen(
         return [replace(c, direct=c.component in shown) for c in candidates]
 
     shapes = known_direct(c for s in seen for c in (*geometry(s, few), *extended(s, few)))
-    # Of shapes that are the same to these readings the first is taken: a straight line has its own name first.
+    # Of shapes that are the same at these readings the first counts: a straight line comes under its own name first.
     shapes.sort(key=lambda c: c.effect not in STRAIGHT)
     warm = known_direct(c for s in seen for c in thermal(s, few, sensors))
     if allowed is not None:
@@ -108,7 +108,7 @@ def screen(
             found = _correlate([s for s in whole if reads(s, component.name)], base, hot)
             best = _best(found, budget) | {i for i, c in enumerate(found) if c.candidate in known}
             kept += [found[i].candidate for i in sorted(best)]
-            # What goes with the temperature of something known may be another name for it.
+            # A candidate with the temperature of a known term may be the same effect under another name.
             drives = {c.feature for c in known if c.feature}
             also = [c.candidate for i, c in enumerate(found) if i not in best and c.candidate.feature in drives]
             kept += [replace(c, offered=False) for c in also]
@@ -120,13 +120,13 @@ def screen(
 def _asked_components(
     names: Sequence[str], candidates: Sequence[TermCandidate], shown: Mapping[str, bool], machine: Machine
 ) -> dict[str, set[str]]:
-    """Components for which an effect that was asked for by its name alone is a candidate.
+    """Components for which an effect with a name only is a candidate.
 
-    Those that a file names, and of those that the readings show directly the ones that the effect usually feeds, of
-    a shape along an axis the positioning before the straightness; where there is none, all that they show directly.
-    So `scale,backlash` is no model of every deviation across the axes, nor of every angle that reaches the reading
-    through an arm. An effect that is only seen through arms (`squareness`) asks for the whole chain: there all
-    components are candidates for all.
+    These are the components that a file names, and those that the readings show directly and that the effect usually
+    feeds; for a shape along an axis positioning has priority over straightness. Where there is none, all components
+    that the readings show directly. So `scale,backlash` does not become a model of every deviation across the axes, nor
+    of every angle behind an arm. If a named effect is visible only through arms (`squareness`), all components are
+    candidates for all effects.
     """
     able = {name: {c.component for c in candidates if c.effect == name} for name in names}
     if any(found and not found & set(shown) for found in able.values()):
@@ -163,11 +163,11 @@ def _correlate(
 
 
 def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Floats, float]:
-    """What the base (and the explicit nuisances) leaves of each column and of the readings.
+    """Residuals of each column and of the readings after a fit of the base and the explicit nuisance parameters.
 
     Returns:
-        Sum of squares of what is left of each column, its product with what is left of the readings, and the sum of
-        squares of the latter.
+        Sum of squares of each column's residual, its product with the readings' residual, and the sum of squares of the
+        latter.
     """
     total, width = normal.total, normal.width
     index = np.concatenate([base, np.arange(width, len(total) - 1)]).astype(np.int64)
@@ -184,7 +184,7 @@ def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Flo
 
 
 def residual_gram(normal: Normal, columns: NDArray[np.int64]) -> Floats:
-    """Products of some columns with each other once explicit nuisances are taken out."""
+    """Gram matrix of some columns, orthogonal to the explicit nuisance parameters."""
     total, extra = normal.total, np.arange(normal.width, len(normal.total) - 1)
     cross = total[np.ix_(extra, columns)]
     inner = total[np.ix_(columns, columns)]
@@ -194,9 +194,9 @@ def residual_gram(normal: Normal, columns: NDArray[np.int64]) -> Floats:
 
 
 def _best(found: Sequence[Correlation], budget: int) -> set[int]:
-    """The best of each sensor and shape, then their second best, and so on, until the budget is spent.
+    """The best ones of each sensor and shape, then the second best, and so on, until the budget is used up.
 
-    What goes without a lag always comes with its lagged forms: the simpler one must have its chance.
+    The form without a lag ranks with the best lagged one, so that the simpler one can be chosen.
     """
     rank: dict[tuple[object, ...], int] = {}
     order = []

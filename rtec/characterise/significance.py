@@ -1,8 +1,8 @@
-"""Tells terms that the readings show for sure from those that chance or slow drift would bring forth.
+"""Separates significant terms from those that noise or slow drift would produce.
 
-Drift that no sensor sees goes on from run to run. Then a run says less than its standard error lets one believe, and
-the error on left-out runs falls for any temperature that resembles the drift. So a term must be far from zero twice:
-with one block left out after another, and with the longer parts left out that the choice was made on.
+Drift that no sensor reads continues from run to run. A run then has less information than its standard error suggests,
+and any temperature that resembles the drift lowers the error on held-out runs. So a term must be far from zero in two
+tests: with single blocks held out, and with the longer parts held out on which the choice was made.
 """
 
 import numpy as np
@@ -16,19 +16,19 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 CHANCE = 0.05
-"""A term that chance would bring forth among so many candidates with this probability, or more, is not sure."""
+"""Accepted false-positive rate of a term, over all candidates."""
 ROUNDING = 1e-12
 
 
 def surety(fit: Estimate, candidates: int) -> Floats:
-    """How sure each coefficient of the terms is, (coefficients,); below one it is not.
+    """Significance of each coefficient of the terms, (coefficients,); a value below one is not significant.
 
-    That is its distance from zero over the distance that chance hardly reaches; the smaller one counts of that from
-    blocks and that from whole left-out parts.
+    It is the distance from zero over the distance that noise alone hardly reaches: the smaller one of the test with
+    blocks and the test with longer held-out parts.
 
     Args:
-        fit: the terms, fitted; non-linear parameters are held.
-        candidates: among how many the terms were chosen.
+        fit: the fitted terms, with fixed non-linear parameters.
+        candidates: number of candidates from which the terms were chosen.
     """
     ways = [fit.linear, fit.linear.by_part]
     ratios = [_distances(way, fit) / far_for_chance(candidates, len(way.gram)) for way in ways]
@@ -36,13 +36,13 @@ def surety(fit: Estimate, candidates: int) -> Floats:
 
 
 def spared(fit: Estimate, columns: Ints) -> bool:
-    """Whether coefficients stay although they are not sure: left-out stretches of hours miss them by `choose.NEAR`.
+    """Whether coefficients stay although not significant: without them the error on held-out hours rises by NEAR.
 
-    They are long against quick drift and few, so the test above has little power there. Left-out runs are no
-    such witness: their neighbours share their drift. Nor are one or two of the stretches: with the signs of what each
-    misses drawn by lot, as much would rarely be missed together.
+    Such stretches of hours are few, so that the test above has little power, and they are long compared with fast
+    drift. Held-out runs are not accepted for this: their neighbours have the same drift. Nor is an increase in one or
+    two stretches only: with random signs of the increases, as large a sum must be rare.
     """
-    if not _told_by_stretches(fit, columns) or missed(fit, columns) < NEAR:
+    if not _mostly_in_stretches(fit, columns) or missed(fit, columns) < NEAR:
         return False
     folds = np.unique([c.fold for c in fit.linear.cells], return_inverse=True)[1]
     more = np.bincount(folds, _without(fit, columns) - fit.cells[0])
@@ -58,7 +58,7 @@ def far_for_chance(candidates: int, blocks: int) -> float:
 
 
 def missed(fit: Estimate, columns: Ints) -> float:
-    """By what share the held-out error grows without some coefficients."""
+    """Relative increase of the held-out error without some coefficients."""
     return fit.rms(_without(fit, columns)) / max(fit.held_out, 1e-300) - 1.0
 
 
@@ -72,9 +72,9 @@ def _distances(normal: Normal, fit: Estimate) -> Floats:
     return np.asarray(np.abs(fit.values[: normal.width]) / np.hypot(spread, fit.by_common_lag), dtype=np.float64)
 
 
-def _told_by_stretches(fit: Estimate, columns: Ints) -> bool:
-    """Whether most of what the readings tell of coefficients lies in measurements that are cut into hours."""
+def _mostly_in_stretches(fit: Estimate, columns: Ints) -> bool:
+    """Whether most of the information on coefficients is in measurements whose blocks are hours."""
     normal = fit.linear
-    told = normal.gram[:, columns, columns].sum(axis=1)
+    information = normal.gram[:, columns, columns].sum(axis=1)
     stretches = np.array([fit.sources[s].blocks.by_time for s in normal.source])
-    return bool(told[stretches].sum() > 0.5 * told.sum())
+    return bool(information[stretches].sum() > 0.5 * information.sum())

@@ -1,6 +1,6 @@
-"""Warnings in words: what to beware of in a fit, with numbers and a way on.
+"""Warnings on a fit in words, with numbers and a remedy.
 
-Warnings about how it was measured, which no residual shows: targets in step with the pitch, an arm nobody uses.
+Some are about the measurement, which no residual shows: targets in step with the pitch, an unused arm.
 """
 
 from collections.abc import Sequence
@@ -27,13 +27,13 @@ from rtec.wording import counted, significant
 Floats = NDArray[np.float64]
 
 SEEN_ALL_ROUND = 0.4
-"""Where no larger part of the pitch is without a reading, its error shows (two places leave half, three a third)."""
+"""The periodic error shows if no gap between the readings' phases is larger (two phases: a half, three: a third)."""
 ARM_WAY = "leave component out where these are the instrument's own readings; leave the offset out where they are not"
 PITCH_WAY = "add a dense run over one or two pitches, or take targets that are no multiples of the pitch"
 
 
 def setup_warnings(sources: Sequence[Source]) -> list[Warn]:
-    """What the set-ups keep from the fit."""
+    """Warnings on errors that the set-ups hide from the fit."""
     machine = sources[0].measurement.machine
     hidden = [w for axis in machine.axes for w in _in_step_with_pitch(sources, axis)]
     unused = [(s.measurement.name, unused_offset(s.measurement.instrument)) for s in sources]
@@ -41,9 +41,9 @@ def setup_warnings(sources: Sequence[Source]) -> list[Warn]:
 
 
 def unused_offset(instrument: Instrument) -> str | None:
-    """Say that a place in the set-up has no say, because the instrument is said to read its component directly.
+    """A sentence on an offset in the set-up that is not used, because the instrument reads its component directly.
 
-    None where there is no such place, or it is zero.
+    None where there is no such offset, or it is zero.
     """
     if instrument.component is None:
         return None
@@ -51,15 +51,15 @@ def unused_offset(instrument: Instrument) -> str | None:
     away = {k: v for k, v in setup.items() if k.endswith("offset_mm") and v is not None and np.any(np.asarray(v))}
     if not away:
         return None
-    said = " and ".join(f"{k} = [{', '.join(f'{x:g}' for x in v)}]" for k, v in away.items())
+    offsets = " and ".join(f"{k} = [{', '.join(f'{x:g}' for x in v)}]" for k, v in away.items())
     return (
-        f'component = "{instrument.component}" says that the readings are that component already, so {said} is not '
+        f'component = "{instrument.component}" says that the readings are that component already, so {offsets} is not '
         "used and no Abbe arm enters"
     )
 
 
 def _in_step_with_pitch(sources: Sequence[Source], axis: Axis) -> list[Warn]:
-    """One axis' positions in all measurements that see its positioning error, taken together: a dense run is enough."""
+    """A warning on the joint positions of one axis in all measurements of its positioning error."""
     component = f"E{axis.direction}{axis.name}"
     if axis.pitch_mm is None or component not in sources[0].measurement.machine.components:
         return []
@@ -77,7 +77,7 @@ def _in_step_with_pitch(sources: Sequence[Source], axis: Axis) -> list[Warn]:
 
 
 def _widest_gap(turns: Floats) -> float:
-    """Largest part of a turn in which nothing lies."""
+    """Largest part of a turn without a reading."""
     phase = np.sort(np.mod(turns, 1.0))
     return float(np.diff(np.append(phase, phase[0] + 1.0)).max())
 
@@ -89,19 +89,19 @@ LEFT_OVER = 2.0
 UNEVEN = 2.5
 """Residuals over the noise between neighbours that differ by more than this factor."""
 ILL = 30.0
-"""Condition number of scaled columns from which coefficients are told apart badly (Belsley, Kuh and Welsch)."""
+"""Condition number of scaled columns above which coefficients are poorly separated (Belsley, Kuh and Welsch)."""
 COLLINEAR = 0.98
 ONE = 0.005
-"""A factor that differs from one by less is not written."""
+"""A factor that differs from one by less than this is not shown."""
 VISITED = 0.9
 GAP = 0.4
-"""A component was not read between places further apart than this share of the travel."""
+"""A gap between places counts as not read if it is larger than this share of the travel."""
 NARROW_K = 3.0
 FEW_BLOCKS = 8
 LITTLE_INFORMATION = 0.05
 OPPOSITE = 0.5
 RIVALS = 6
-"""So many effects that do as well are named."""
+"""Largest number of equally good effects that are named."""
 
 
 def all_warnings(
@@ -111,7 +111,7 @@ def all_warnings(
     same: Sequence[tuple[Term, Term, float]],
     unused: Sequence[str],
 ) -> list[Warn]:
-    """Everything to beware of, what matters most first."""
+    """All warnings, the most important ones first."""
     found = [
         *(Warn("end_targets", ends.message, NEXT) for ends in judged.given.ends),
         *_confounded(same),
@@ -134,7 +134,7 @@ def all_warnings(
 
 
 def _confounded(same: Sequence[tuple[Term, Term, float]]) -> list[Warn]:
-    """Terms whose number is only that of a sum: what was not chosen makes the same readings."""
+    """Terms whose coefficient is that of a sum: a term that was not chosen is confounded with them."""
     out = []
     for mine in dict.fromkeys(label(t) for t, _, _ in same):
         others = [(label(o), share) for t, o, share in same if label(t) == mine]
@@ -186,7 +186,7 @@ def _left_over(judged: Judgement) -> list[Warn]:
 
 
 def _uneven(fit: Estimate) -> list[Warn]:
-    """Measurements by equal instruments of which one is met far worse, though neighbouring readings differ alike."""
+    """Measurements by equal instruments where one has a far larger residual, though their noise is the same."""
     ratios: dict[tuple[str, str | None], list[tuple[float, str]]] = {}
     for source, left in zip(fit.sources, fit.residuals, strict=True):
         m = source.measurement
@@ -205,7 +205,7 @@ def _uneven(fit: Estimate) -> list[Warn]:
 
 
 def _undecided(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
-    """For each term what does as well, the best of each effect: causes are named, whatever sensor they go with."""
+    """For each term the equally good alternatives, the best one of each effect: causes are named, not sensors."""
     out = []
     for mine in dict.fromkeys(r.instead_of for r in rivals):
         kinds: dict[str, list[UndecidedTerm]] = {}
@@ -278,7 +278,7 @@ def _collinear(fit: Estimate) -> list[Warn]:
 
 
 def _sign_changes(fit: Estimate) -> list[Warn]:
-    """Each coefficient by each part of the day alone, the others as in the whole fit."""
+    """Coefficients that change their sign between parts of the day, each estimated alone with the others fixed."""
     normal, values = fit.linear.by_part, fit.values
     machine = fit.sources[0].measurement.machine
     named = [(label(t), n) for t in fit.terms for n in t.names(machine)]
@@ -287,16 +287,16 @@ def _sign_changes(fit: Estimate) -> list[Warn]:
     score = normal.gram[:, : normal.width, -1] - normal.gram[:, : normal.width, :-1] @ values
     noise = max(fit.inside, 1e-12)
     for k, (term, name) in enumerate(named):
-        told = diagonal[:, k] > LITTLE_INFORMATION * diagonal[:, k].sum() / len(diagonal)
-        alone = values[k] + score[told, k] / diagonal[told, k]
-        sure = np.abs(alone) > 4.0 * noise / np.sqrt(diagonal[told, k])
+        informed = diagonal[:, k] > LITTLE_INFORMATION * diagonal[:, k].sum() / len(diagonal)
+        alone = values[k] + score[informed, k] / diagonal[informed, k]
+        sure = np.abs(alone) > 4.0 * noise / np.sqrt(diagonal[informed, k])
         against = (np.sign(alone) == -np.sign(values[k])) & (np.abs(alone) > OPPOSITE * abs(values[k])) & sure
         if against.any():
             out.append(
                 Warn(
                     "sign_change",
                     f"{term} {name} changes sign between cycles: {significant(values[k])} over all, but of the other "
-                    f"sign in {int(against.sum())} of {int(told.sum())} parts of the record (as far as "
+                    f"sign in {int(against.sum())} of {int(informed.sum())} parts of the record (as far as "
                     f"{significant(alone[against][0])})",
                     "it takes the place of another cause; look for that, or omit it",
                 )
@@ -305,7 +305,7 @@ def _sign_changes(fit: Estimate) -> list[Warn]:
 
 
 def _not_visited(fit: Estimate) -> list[Warn]:
-    """Components that were read over a part of the travel only, those of the same part together."""
+    """Components that were read over a part of the travel only, grouped by that part."""
     machine, out = fit.sources[0].measurement.machine, []
     parts: dict[tuple[str, float, float, str], list[str]] = {}
     for component in dict.fromkeys(t.effect.component for t in fit.terms):
@@ -378,6 +378,6 @@ def _few_blocks(fit: Estimate) -> list[Warn]:
 
 
 def _outliers(judged: Judgement) -> list[Warn]:
-    """Readings that were left out, with their rows."""
+    """Outliers that were excluded, with their rows."""
     way = "look at these rows; if they are real, the model lacks their cause"
     return [Warn("outliers", text, way) for text in outlier_words(judged.given.wrong)]

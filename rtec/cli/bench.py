@@ -13,7 +13,7 @@ app = App(help="Benchmarks that other programs can take part in.")
 
 @app.callback()
 def _bench() -> None:
-    """Keeps `discovery` a command of its own."""
+    """A group needs a callback, else typer makes its only command the group itself."""
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""What the commands share: options, progress on standard error, and how a result is printed, written and piped."""
+"""Shared by the commands: options, progress on standard error, and the output of results."""
 
 import json
 import os
@@ -29,26 +29,26 @@ Report = Annotated[
 MachineFile = Annotated[Path, typer.Option("--machine", "-m", help="Machine file.", show_default=False)]
 
 PIPED_WIDTH = 120
-"""Columns where the output is piped and the environment does not set COLUMNS."""
-BETWEEN, EDGES = (3, 2), 2
-"""Blanks between columns, with room and without; and at both ends."""
+"""Columns of piped output where the environment does not set COLUMNS."""
+GAPS, EDGES = (3, 2), 2
+"""Blanks between columns, in a wide and in a narrow table; and at both ends together."""
 WITH_UNIT = re.compile(r"(?<=\d) (?=(?:%|µ\S*|°C?|[mµ]?m|ms|s|h|min|K|Hz|1/\w+)(?![\w-]))")
 NO_BREAK = "\u00a0"
-"""A blank between a number and its unit, and one at which no line is broken."""
+"""A blank between a number and its unit, and its replacement, at which no line is broken."""
 MOST_TURNED = 6
-"""Rows of a table that may become columns."""
+"""Largest number of rows that may become columns."""
 
 
 @contextmanager
 def bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Show one progress bar; gives a function that takes how much is done, of how much."""
+    """Show one progress bar; gives a progress callback: steps done, and their total."""
     with stages(title) as stage:
         yield lambda done, total: stage(title, done, total)
 
 
 @contextmanager
 def stages(title: str = "starting") -> Iterator[Callable[[str, int, int], None]]:
-    """Show one progress bar that names its stage, on standard error and only if that is a terminal."""
+    """Show one progress bar with the name of its stage, on standard error and only if that is a terminal."""
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from rtec.cli.screen import Console
@@ -65,7 +65,7 @@ def stages(title: str = "starting") -> Iterator[Callable[[str, int, int], None]]
 
 
 def print_json(facts: object, *, on_one_line: bool = False) -> None:
-    """Print a result as JSON: arrays as lists, what is not finite as null."""
+    """Print a result as JSON: arrays as lists, numbers that are not finite as null."""
     from rtec.result import plain
 
     typer.echo(json.dumps(plain(facts), indent=None if on_one_line else 2, ensure_ascii=False))
@@ -88,7 +88,7 @@ def give(
         as_json: print JSON, and nothing else.
         report: folder of the report.
         full: print all of the page, not its brief form.
-        written: what else was written, by what it is.
+        written: paths of other written files, by their description.
     """
     from rtec.report.page import write_page
     from rtec.result import plain
@@ -104,10 +104,10 @@ def give(
 def show(
     result: "Result", *, as_json: bool, full: bool = True, written: Mapping[str, Path | str | None] | None = None
 ) -> None:
-    """Print a result as JSON, or its page and the paths of what was written.
+    """Print a result as JSON, or its page and the paths of written files.
 
     Args:
-        result: with its report where one was written.
+        result: the result, with its report where one was written.
         as_json: print JSON, and nothing else.
         full: print all of the page, not its brief form.
         written: what else was written, by what it is.
@@ -120,7 +120,7 @@ def show(
 
 
 def _show(page: "Page", report: Path | None, *, full: bool, written: Mapping[str, Path | str | None]) -> None:
-    """Print a page and the paths of what was written, with the first figure of the report."""
+    """Print a page and the paths of written files, with the first figure of the report."""
     show_page(page, full=full)
     paths: dict[str, Path | str | None] = {**written}
     if report and (figure := page.first_figure):
@@ -136,7 +136,7 @@ def _show(page: "Page", report: Path | None, *, full: bool, written: Mapping[str
 
 
 def print_console() -> "Console":
-    """A console for results; piped it is as wide as COLUMNS says, else `PIPED_WIDTH`."""
+    """A console for results; if piped, its width is COLUMNS, else `PIPED_WIDTH`."""
     from rtec.cli.screen import Console
 
     console = Console(highlight=False)
@@ -148,7 +148,7 @@ def print_console() -> "Console":
 def show_page(page: "Page", *, full: bool = True) -> None:
     """Print a page, or its brief form: the verdict and one short table."""
     console = print_console()
-    console.print(_folded(page.lead, console.width) + "\n", soft_wrap=True)
+    console.print(_wrapped(page.lead, console.width) + "\n", soft_wrap=True)
     for section in page.sections if full or page.brief is None else [page.brief]:
         _show_section(section, console)
 
@@ -159,36 +159,36 @@ def _show_section(section: "Section", console: "Console") -> None:
     if section.heading:
         console.print(section.heading, style="bold")
     for sentence in section.text:
-        # A command to be copied stays on one line, however long.
+        # Users copy a command: it stays on one line.
         command = sentence.startswith("rtec ")
-        text = f"  {sentence}" if command else _folded(sentence, console.width, "- ", "  ")
+        text = f"  {sentence}" if command else _wrapped(sentence, console.width, "- ", "  ")
         console.print(text, soft_wrap=True)
     if section.table is not None:
         print_table(section.table, console)
         if section.table.caption:
-            console.print(_folded(section.table.caption, console.width), soft_wrap=True)
+            console.print(_wrapped(section.table.caption, console.width), soft_wrap=True)
     console.print()
 
 
-def _folded(text: str, width: int, mark: str = "", hang: str = "") -> str:
-    """A text in lines of so many columns, broken between words only; its own line ends stay.
+def _wrapped(text: str, width: int, mark: str = "", hang: str = "") -> str:
+    """A text in lines of at most `width` columns, broken between words only; its own line ends stay.
 
     Args:
-        text: what is folded.
+        text: the text.
         width: columns.
-        mark: what its first line begins with.
-        hang: what its other lines begin with.
+        mark: start of its first line.
+        hang: start of its other lines.
     """
     out: list[str] = []
     for line in text.splitlines():
         first = hang if out else mark
-        # An indented line is to be copied as it is.
-        out += [line] if line.startswith(" ") else _wrap(line, width, first, hang)
+        # Users copy an indented line: it is not broken.
+        out += [line] if line.startswith(" ") else _wrapped_line(line, width, first, hang)
     return "\n".join(out)
 
 
-def _wrap(line: str, width: int, first: str, hang: str) -> list[str]:
-    """Lines of so many columns; a number stays with its unit."""
+def _wrapped_line(line: str, width: int, first: str, hang: str) -> list[str]:
+    """Lines of at most `width` columns; a number stays with its unit."""
     whole = WITH_UNIT.sub(NO_BREAK, line)
     lines = wrap(
         whole, width, initial_indent=first, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False
@@ -197,9 +197,9 @@ def _wrap(line: str, width: int, first: str, hang: str) -> list[str]:
 
 
 def print_table(table: "Table", console: "Console") -> None:
-    """Print a table: cells are folded between words, never within one.
+    """Print a table: cells are broken between words, never within one.
 
-    Where not even the longest words fit beside each other, rows become columns, or else each row a short list.
+    If not even the longest words fit beside each other, rows become columns, or each row becomes a short list.
     """
     for shown in (table, _turned(table)):
         if shown and _room(shown, console.width):
@@ -209,7 +209,7 @@ def print_table(table: "Table", console: "Console") -> None:
 
 
 def _turned(table: "Table") -> "Table | None":
-    """Its rows as columns, where there are few of them."""
+    """The table with rows and columns exchanged; None where it has too many rows."""
     from rtec.report.page import Table
 
     if not 1 < len(table.rows) <= MOST_TURNED:
@@ -219,19 +219,19 @@ def _turned(table: "Table") -> "Table | None":
 
 
 def _room(table: "Table", width: int) -> int:
-    """Blanks between columns with which a table fits; 0 where it does not."""
-    return next((b for b in BETWEEN if _widths(table, width, b) is not None), 0)
+    """Largest number of blanks between columns at which a table fits; 0 where it does not fit."""
+    return next((b for b in GAPS if _widths(table, width, b) is not None), 0)
 
 
 def grid(table: "Table", width: int | None = None) -> "Grid":
-    """A table for a terminal of so many columns; as wide as it is where those are too few or not given."""
+    """A table for a terminal with `width` columns; in its natural width where they are too few or not given."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as Grid
     from rich.text import Text
 
-    between = _room(table, width) if width else BETWEEN[0]
-    widths = _widths(table, width, between) or [None] * len(table.head)
-    out = Grid(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=between == BETWEEN[1])
+    gap = _room(table, width) if width else GAPS[0]
+    widths = _widths(table, width, gap) or [None] * len(table.head)
+    out = Grid(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=gap == GAPS[1])
     for k, (name, wide) in enumerate(zip(table.head, widths, strict=True)):
         out.add_column(Text(name), justify="left" if k in table.words else "right", overflow="fold", width=wide)
     for row in table.rows:
@@ -240,22 +240,22 @@ def grid(table: "Table", width: int | None = None) -> "Grid":
 
 
 def _records(table: "Table", width: int) -> str:
-    """One row below the other, a line for each cell."""
+    """The rows as a list, with a line for each cell."""
     out = [""]
     for first, *rest in table.rows:
-        out.append(_folded(first or "-", width))
+        out.append(_wrapped(first or "-", width))
         lines = (f"{name}: {cell}" if name else cell for name, cell in zip(table.head[1:], rest, strict=True) if cell)
-        out += [_folded(line, width, "  ", "    ") for line in lines]
+        out += [_wrapped(line, width, "  ", "    ") for line in lines]
     return "\n".join([*out, ""])
 
 
-def _widths(table: "Table", width: int | None, between: int) -> "Sequence[int | None] | None":
-    """Widths that break no word, narrowing the columns that lose least; all None: as wide as they are; None: none."""
+def _widths(table: "Table", width: int | None, gap: int) -> "Sequence[int | None] | None":
+    """Column widths that break no word; each None: its natural width; None alone: there are no such widths."""
     columns = [[table.head[k], *(row[k] for row in table.rows)] for k in range(len(table.head))]
     full = [max(map(len, column)) for column in columns]
     if width is None:
         return [None] * len(columns)
-    room = width - EDGES - between * (len(columns) - 1)
+    room = width - EDGES - gap * (len(columns) - 1)
     if sum(full) <= room:
         return [None] * len(columns)
     wide = [
@@ -279,7 +279,7 @@ def interruptible(state: Callable[[], str] = lambda: "nothing was written") -> I
     """Print one line on standard error when the work inside is interrupted; the interruption goes on.
 
     Args:
-        state: gives what has been written by then, in words.
+        state: gives what is written at that time, in words.
     """
     try:
         yield
@@ -289,7 +289,7 @@ def interruptible(state: Callable[[], str] = lambda: "nothing was written") -> I
 
 
 def kept(target: Path, done: list[str]) -> str:
-    """What a model file holds, in words; `done` has "refit" or "step" for each time it was written."""
+    """Content of a model file, in words; `done` has "refit" or "step" for each time it was written."""
     from rtec.wording import counted
 
     steps = done.count("step")

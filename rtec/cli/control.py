@@ -158,7 +158,7 @@ def show(found: dict[str, Any]) -> None:
 
 
 def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
-    """Show the status again and again; with `as_json` a line each time; where no terminal is, page below page."""
+    """Show the status repeatedly: in place on a terminal, else page below page; with `as_json` a line each time."""
     console = Console(highlight=False)
     while as_json or not console.is_terminal:
         if as_json:
@@ -173,7 +173,7 @@ def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
 
 
 def page(found: dict[str, Any]) -> RenderableType:
-    """Everything in one piece."""
+    """The whole status as one renderable."""
     axes = _table(("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts"), axis_rows(found))
     inputs = _table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else [])
     return Group(

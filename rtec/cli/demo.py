@@ -1,4 +1,4 @@
-"""`rtec demo`: the first thing to see."""
+"""`rtec demo`: the day of a simulated machine, uncorrected and corrected, and a hidden effect."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

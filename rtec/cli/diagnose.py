@@ -206,7 +206,7 @@ def _names(only: str | None) -> list[str] | None:
 
 
 def _ask(choice: "ProposedStep") -> "Finding | None":
-    """Show the candidates and ask; the number of another candidate may be given instead."""
+    """Show the candidates and ask; the answer may be the number of another candidate."""
     from rtec.cli.common import show_page
     from rtec.report.diagnosis import diagnosis_page
 
@@ -226,7 +226,7 @@ def _ask(choice: "ProposedStep") -> "Finding | None":
 
 
 def _ask_made(made: "Added") -> bool:
-    """Show the error before and after what names no cause, a refit or a further temperature, and ask."""
+    """Show the error before and after a change that names no cause (a refit, a further temperature), and ask."""
     from rtec.cli.common import show_page
     from rtec.report.additions import added_page
 

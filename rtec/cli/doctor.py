@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class DoctorScreen:
-    """Shows what devices read while they are read; gone afterwards."""
+    """A live table of the devices' values; it disappears at the end."""
 
     def __init__(self, quiet: bool) -> None:
         console = Console(stderr=True)
@@ -31,7 +31,7 @@ class DoctorScreen:
             self._live.stop()
 
     def update(self, devices: "list[DeviceFound]") -> None:
-        """Show them."""
+        """Show the present values."""
         from rtec.report.doctor import doctor_table
 
         if self._on:

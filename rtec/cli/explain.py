@@ -1,4 +1,4 @@
-"""`rtec explain`: what a key of a file means."""
+"""`rtec explain`: the meaning of a key of a file."""
 
 from dataclasses import asdict
 from typing import Annotated

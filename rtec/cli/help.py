@@ -1,4 +1,4 @@
-"""Help pages: usage, what the command does, examples to copy, then every option with its value, meaning and default."""
+"""Help pages: usage, description, examples to copy, then every option with its value, meaning and default."""
 
 import inspect
 import re
@@ -15,9 +15,9 @@ from typer.core import TyperCommand, TyperGroup
 
 F = TypeVar("F", bound=Callable[..., Any])
 WIDEST = 100
-"""Columns of a help page at most: longer lines are hard to read."""
+"""Largest number of columns of a help page: longer lines are hard to read."""
 LEFT = 30
-"""Columns of a name with its value at most; what explains a longer one begins on the next line."""
+"""Largest number of columns of a name with its value; the explanation of a longer one begins on the next line."""
 Row = tuple[str, str]
 
 
@@ -25,11 +25,11 @@ class Command(TyperCommand):
     """A command whose help page is `page_lines`."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """What is typed behind the name of the command."""
+        """The arguments after the name of the command."""
         return usage(parameters(self, ctx))
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the page; typer asks for it here, and has nothing to add."""
+        """Print the page; typer's hook for it, whose formatter is not used."""
         del formatter
         _print(self, ctx)
 
@@ -38,12 +38,12 @@ class Group(TyperGroup):
     """A group of commands whose help page is `page_lines`."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """What is typed behind the name of the group."""
+        """The arguments after the name of the group."""
         del ctx
         return ["COMMAND", "..."]
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the page; typer asks for it here, and has nothing to add."""
+        """Print the page; typer's hook for it, whose formatter is not used."""
         del formatter
         _print(self, ctx)
 
@@ -53,7 +53,7 @@ class App(typer.Typer):
 
     Args:
         cls: class of the group.
-        more: as typer's.
+        more: further arguments of `typer.Typer`.
     """
 
     def __init__(self, *, cls: type[TyperGroup] = Group, **more: Any) -> None:
@@ -62,7 +62,7 @@ class App(typer.Typer):
     def command(
         self, name: str | None = None, *, cls: type[TyperCommand] | None = Command, **more: Any
     ) -> Callable[[F], F]:
-        """Add a function as a command; `more` is typer's."""
+        """Add a function as a command; `more` are further arguments of `typer.Typer.command`."""
         return super().command(name, cls=cls, **more)
 
 
@@ -71,12 +71,12 @@ class HelpParameter:
     """An argument or option as a help page shows it.
 
     Args:
-        names: long ones of an option, else what an argument is called.
+        names: long names of an option, or the name of an argument.
         short: names of one letter.
-        value: what is typed behind an option; nothing behind a switch.
-        meaning: in brackets its default, its limits, and whether it must be given.
-        option: no argument.
-        required: must be given.
+        value: name of an option's value; empty for a switch.
+        meaning: description; in brackets its default, its limits, and whether it is required.
+        option: whether it is an option, not an argument.
+        required: whether it is required.
     """
 
     names: str
@@ -88,10 +88,10 @@ class HelpParameter:
 
 
 def parameters(command: Any, ctx: Any) -> list[HelpParameter]:
-    """What a command takes, in its order, with `--help`; typer's own versions name the types in different places.
+    """Arguments and options of a command, in its order, with `--help`; versions of typer differ in their types.
 
     Args:
-        command: of typer.
+        command: a command of typer.
         ctx: its context.
     """
     hints = get_type_hints(command.callback, include_extras=True) if command.callback else {}
@@ -125,7 +125,7 @@ def _argument(param: Any) -> str:
 
 
 def _value(param: Any, kind: Any) -> str:
-    """The name of a value: as declared, its choices, by its kind, or as the option."""
+    """Name of an option's value: as declared, its choices, by its type, or the option's name."""
     if param.is_flag or kind is None:
         return ""
     inner = next((k for k in get_args(kind) if k is not type(None)), kind) if not _choices(kind) else kind
@@ -141,7 +141,7 @@ def _choices(kind: Any) -> list[str]:
 
 
 def _default(param: Any) -> str:
-    """A default as it is typed; text where its declaration says it in words, nothing where there is none."""
+    """A default as the user would type it, or in the words of its declaration; empty where there is none."""
     if isinstance(param.show_default, str):
         return str(param.show_default)
     value = getattr(param.default, "value", param.default)
@@ -153,12 +153,12 @@ def _default(param: Any) -> str:
 
 
 def _limits(low: float | None, high: float | None) -> str:
-    """`0.1 to 3600`; a lower one alone, and an upper one of a million, only keep out nonsense and are not shown."""
+    """`0.1 to 3600`; empty for a lower limit alone or an upper one of a million, which only exclude nonsense."""
     return "" if low is None or high is None or high >= 1e6 else f"{low:g} to {high:g}"
 
 
 def usage(params: Sequence[HelpParameter]) -> list[str]:
-    """Arguments, the options that must be given, and that there are others.
+    """Words of the usage line: arguments, required options, and `[OPTIONS]` for others.
 
     Args:
         params: arguments and options of a command.
@@ -181,10 +181,10 @@ def _print(command: Any, ctx: Any) -> None:
 
 
 def page_lines(command: Any, ctx: Any, width: int) -> Iterator[tuple[str, str, int]]:
-    """The lines of a help page, each with a style and how many characters have it.
+    """The lines of a help page, each with a style and the number of characters that have it.
 
     Args:
-        command: of typer.
+        command: a command of typer.
         ctx: its context.
         width: columns.
     """
@@ -208,7 +208,7 @@ def page_lines(command: Any, ctx: Any, width: int) -> Iterator[tuple[str, str, i
 def _prose(texts: Sequence[str], width: int) -> Iterator[tuple[str, str, int]]:
     for text in texts:
         yield "", "", 0
-        yield from ((line, "", 0) for line in _folded(text, width))
+        yield from ((line, "", 0) for line in _wrapped(text, width))
 
 
 def _heading(title: str) -> Iterator[tuple[str, str, int]]:
@@ -217,10 +217,10 @@ def _heading(title: str) -> Iterator[tuple[str, str, int]]:
 
 
 def _table(rows: Sequence[Row], width: int) -> Iterator[tuple[str, str, int]]:
-    """Name and explanation; a name that is too long has a line of its own."""
+    """Rows of name and explanation; a name that is too long has a line of its own."""
     left = max((len(name) for name, _ in rows if len(name) <= LEFT), default=LEFT) + 4
     for name, text in rows:
-        lines = _folded(text, width - left) or [""]
+        lines = _wrapped(text, width - left) or [""]
         if len(name) + 4 > left:
             yield f"  {name}", "cyan", width
         else:
@@ -228,15 +228,15 @@ def _table(rows: Sequence[Row], width: int) -> Iterator[tuple[str, str, int]]:
         yield from ((" " * left + line, "", 0) for line in lines)
 
 
-def _folded(text: str, width: int) -> list[str]:
+def _wrapped(text: str, width: int) -> list[str]:
     return wrap(text, width, break_long_words=False, break_on_hyphens=False)
 
 
 def paragraphs(text: str) -> tuple[list[str], list[Row], list[str]]:
-    """What a help text describes first, its examples (when each is used, and the command), and the details after them.
+    """Description, examples (use, and command), and details of a help text.
 
     Args:
-        text: as in a docstring: an example is a paragraph in backticks, behind `Example:` or `Example, …:` or alone.
+        text: a docstring: an example is a paragraph in backticks, after `Example:` or `Example, …:` or alone.
     """
     described: list[str] = []
     examples: list[Row] = []
@@ -250,10 +250,10 @@ def paragraphs(text: str) -> tuple[list[str], list[Row], list[str]]:
 
 
 def continued(command: str, width: int) -> list[str]:
-    r"""A command in lines of so many columns that a shell takes for one: each but the last ends with `\`.
+    r"""A command in lines of at most `width` columns that a shell reads as one: each but the last ends with `\`.
 
     Args:
-        command: its words; what is in quotes stays together, and an option and its value.
+        command: the command; a text in quotes is not broken, nor an option and its value.
         width: columns of a line without ` \`.
     """
     lines = [""]
@@ -266,7 +266,7 @@ def continued(command: str, width: int) -> list[str]:
 
 
 def _parts(command: Any, ctx: Any) -> Iterator[tuple[str, list[Row]]]:
-    """The tables of a page: commands of a group by what people want to do, arguments, options."""
+    """The tables of a page: commands of a group by purpose, arguments, options."""
     panels: dict[str, list[Row]] = {}
     for name, inner in getattr(command, "commands", {}).items():
         panel = getattr(inner, "rich_help_panel", None)
@@ -280,10 +280,10 @@ def _parts(command: Any, ctx: Any) -> Iterator[tuple[str, list[Row]]]:
     options = [p for p in params if p.option]
     before = max(len(p.short) for p in options)
     if options:
-        yield "Options", [(_left(p, before), p.meaning) for p in options]
+        yield "Options", [(_first_column(p, before), p.meaning) for p in options]
 
 
-def _left(option: HelpParameter, before: int) -> str:
-    """`-o, --out MODEL`, with room for the short name where another option has one."""
+def _first_column(option: HelpParameter, before: int) -> str:
+    """First column of an option, `-o, --out MODEL`, indented by `before` where it has no short name."""
     short = f"{option.short}, " if option.short else " " * (before + 2 if before else 0)
     return f"{short}{option.names} {option.value}".rstrip()

@@ -92,7 +92,7 @@ def hil(
 
 
 def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:
-    """Uncorrected, then corrected."""
+    """Run uncorrected, then corrected."""
     from rtec.cli.common import stages
     from rtec.report.hil import hil_facts, hil_page
 
@@ -103,7 +103,7 @@ def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:
 
 
 def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
-    """For long."""
+    """Make one long corrected run with random faults."""
     from rtec.cli.common import stages
     from rtec.report.hil import soak_facts, soak_page
 

@@ -57,7 +57,7 @@ def import_(
         return
     proposal = _proposal(files[0], map_, reader, machine, answer or [])
     if _somebody_is_there() and not as_json:
-        proposal = _asked(proposal)
+        proposal = _ask_user(proposal)
         out = out or _name_for(files[0])
     if out is None:
         if as_json:
@@ -77,22 +77,22 @@ def _proposal(
     from rtec.metrology.importing import propose
     from rtec.tomlfile import read_toml
 
-    told = read_toml(map_, MeasurementError) if map_ is not None else {}
+    preset = read_toml(map_, MeasurementError) if map_ is not None else {}
     if reader is not None:
-        told = told | {"source": {**told.get("source", {}), "reader": reader}}
+        preset = preset | {"source": {**preset.get("source", {}), "reader": reader}}
     given = {}
     for text in answers:
-        # A name of a column may hold "=", and so may an answer that is a table: probe={z={direction="Z"}}.
+        # A column's name may contain "=", as may an answer that is a table: probe={z={direction="Z"}}.
         key, mark, value = text.partition("={") if "={" in text else text.rpartition("=")
         value = mark.removeprefix("=") + value
         if not mark:
             raise typer.BadParameter(f"{text!r}: write KEY=VALUE", param_hint="--answer")
         given[key.strip()] = value.strip()
-    return propose(file, load_machine(machine) if machine is not None else None, told, given)
+    return propose(file, load_machine(machine) if machine is not None else None, preset, given)
 
 
 def _is_whole(map_: Path) -> bool:
-    """Does a map say all that an import needs? What is missing in another one is proposed."""
+    """Whether a map has all that an import needs; otherwise the missing parts are proposed."""
     from rtec.errors import MeasurementError
     from rtec.tomlfile import read_toml
 
@@ -104,13 +104,13 @@ def _somebody_is_there() -> bool:
 
 
 def _name_for(file: Path) -> Path | None:
-    """Where the measurement is to be written; None: nowhere."""
+    """Path of the measurement to write, from the user; None: write nothing."""
     name = str(typer.prompt("Write the measurement as (- for not at all)", default=file.stem, err=True)).strip()
     return None if name == "-" else Path(name)
 
 
-def _asked(proposal: "ImportProposal") -> "ImportProposal":
-    """Ask what is not known until nothing is; questions with a usual answer take Enter."""
+def _ask_user(proposal: "ImportProposal") -> "ImportProposal":
+    """Ask all questions of a proposal; Enter accepts the default of a question that has one."""
     from rtec.errors import MeasurementError
 
     typer.echo(proposal.toml(), err=True)
@@ -135,7 +135,7 @@ def _write(
     force: bool,
     as_json: bool,
 ) -> None:
-    """The measurement and the map that made it."""
+    """Write the measurement and its map."""
     from rtec import api
     from rtec.cli.common import bar
     from rtec.wording import counted

@@ -13,7 +13,7 @@ from rtec.cli.common import bar, grid, interruptible
 
 ANSWERS = "answers.toml"
 SHOWN = 12
-"""Lines of live values."""
+"""Largest number of lines of live values."""
 
 
 def init(
@@ -91,7 +91,7 @@ def init(
     if asks and not force:
         _refuse_to_replace(folder)
     with interruptible():
-        tables, source = _asked(seconds, folder) if asks else _scanned(*_given(answers, template, options or []))
+        tables, source = _ask_user(seconds, folder) if asks else _scanned(*_given(answers, template, options or []))
         written = _write(tables, source, folder, force, keep_answers=asks)
     for path in written:
         typer.echo(f"Written: {path}")
@@ -105,7 +105,7 @@ def init(
 
 
 def _refuse_to_replace(folder: Path) -> None:
-    """Before the first question, not after the last."""
+    """Refuse to replace existing files before the first question, not after the last one."""
     from rtec.commission.write import MACHINE, MODEL, RUN
     from rtec.errors import ConfigError
 
@@ -127,7 +127,7 @@ def _example(folder: Path, force: bool) -> None:
 
 
 def _adopt(controller: str, ini: Path, copy: Path | None, answers: Path | None, options: list[str]) -> None:
-    """A controller's own files, copied and changed; and rtec's files beside them."""
+    """Copy and change a controller's own files, and write rtec's files beside them."""
     import shutil
 
     from rtec.commission.answers import answers_from, with_answers
@@ -184,7 +184,7 @@ def _given(answers: Path | None, template: str | None, options: list[str]) -> tu
             given = tomllib.loads(text)
         except tomllib.TOMLDecodeError:
             try:
-                given = tomllib.loads(f'{key} = "{value}"\n')  # a text without its quotes, as a shell leaves it
+                given = tomllib.loads(f'{key} = "{value}"\n')  # the shell has removed the quotes of a text
             except tomllib.TOMLDecodeError as e:
                 raise ConfigError(f"--set {option!r}: give KEY=VALUE as in the answers file: {e}") from e
         if not equals:
@@ -194,7 +194,7 @@ def _given(answers: Path | None, template: str | None, options: list[str]) -> tu
 
 
 def _scanned(tables: dict[str, Any], source: str) -> tuple[dict[str, Any], str]:
-    """The answers, with what devices that say `scan = true` have found."""
+    """The answers, completed by a scan of the devices with `scan = true`."""
     from rtec.commission.scan import fill_in
     from rtec.loop.clock import RealClock
 
@@ -214,8 +214,8 @@ class _Terminal:
         return bar(title)
 
 
-def _asked(seconds: float, folder: Path) -> tuple[dict[str, Any], str]:
-    """The answers of somebody at the terminal, names exchanged where live values say so."""
+def _ask_user(seconds: float, folder: Path) -> tuple[dict[str, Any], str]:
+    """The user's answers at the terminal; names are exchanged where live values show it."""
     from rtec.commission.answers import answers_from
     from rtec.commission.ask import Interview, check_names
     from rtec.commission.listen import LiveSource, live, watch
@@ -268,7 +268,7 @@ class _Screen:
         from rtec.wording import number
 
         names = list(values)
-        if len(names) > SHOWN:  # a whole bus: those that change most
+        if len(names) > SHOWN:  # with a whole bus, show the values that change most
             most = sorted(names, key=lambda name: -abs(change[name]))[:SHOWN]
             names = [name for name in names if name in most]
         rows = [(name, number(values[name], 3), number(change[name], 3, sign=True)) for name in names]
@@ -292,7 +292,7 @@ def _write(tables: dict[str, Any], source: str, folder: Path, force: bool, *, ke
 
 
 def _ready(run: Path) -> bool:
-    """Doctor and dry run: is everything well?"""
+    """Whether doctor and dry run succeed."""
     from rtec.cli.common import show_page
     from rtec.cli.run import show_dry_run
     from rtec.daemon.dry_run import dry_run

@@ -25,7 +25,7 @@ LONGEST = 160
 
 
 def print_facts(facts: Mapping[str, Any]) -> None:
-    """Print names and values; a table within is shown by its own names."""
+    """Print names and values; a nested table is printed by its own names."""
     table = _table(["", ""], header=False)
     for name, value in facts.items():
         if isinstance(value, dict):
@@ -37,7 +37,7 @@ def print_facts(facts: Mapping[str, Any]) -> None:
 
 
 def print_segments(segments: "list[Segment]") -> None:
-    """Print a line a file, then their sum, then what is wrong."""
+    """Print a line a file, then their sum, then faults."""
     from rtec.log.stretch import utc_text
 
     table = _table(["from (UTC)", "to (UTC)", "rows", "MB", "state", "log"], header=True)
@@ -54,7 +54,7 @@ def print_segments(segments: "list[Segment]") -> None:
 
 
 def _per_day(segments: "list[Segment]") -> str:
-    """What a day of packed logs takes."""
+    """Size of packed logs per day, in words."""
     packed = [s for s in segments if s.state == "packed" and s.from_ns is not None and s.to_ns is not None]
     seconds = sum((s.to_ns - s.from_ns) * 1e-9 for s in packed if s.from_ns is not None and s.to_ns is not None)
     if seconds <= 0:
@@ -72,7 +72,7 @@ def _shown(value: object) -> str:
 
 
 def print_rows(reader: "Log", first: int, *, degc: bool, header: bool) -> None:
-    """Print all rows from `first` on; without new rows only the heading, if wanted."""
+    """Print all rows from `first` on; without new rows only the heading, with `header`."""
     table = _table(_headings(reader.layout, degc=degc), header=header)
     for block in reader.blocks(start=first):
         for cells in _cells(*block, degc=degc):
@@ -113,16 +113,16 @@ def _table(headings: list[str], *, header: bool) -> Table:
     table = Table(box=None, show_header=header, pad_edge=False)
     *headings, last = headings
     for heading in headings:
-        # As wide as usual values, so that the rows that follow later stand below the first ones.
+        # As wide as usual values, so that later rows are aligned with the first ones.
         width = max(12, len(heading)) if heading else None
-        # Text: a sensor name with brackets is no markup.
+        # As Text: brackets in a sensor's name are no markup.
         table.add_column(Text(heading), justify="right" if heading else "left", min_width=width, no_wrap=bool(heading))
     table.add_column(Text(last), no_wrap=bool(last))
     return table
 
 
 def _console() -> Console:
-    """A console that never folds a table when its output goes to a file or a program."""
+    """A console that does not break lines of a table if its output goes to a file or a program."""
     console = Console(highlight=False)
     return console if console.is_terminal else Console(highlight=False, width=100_000)
 
@@ -254,13 +254,13 @@ def _facts(reader: "Log") -> dict[str, Any]:
 
 
 def _follow(reader: "Log", logs: Path, *, degc: bool) -> Path:
-    """Print what is appended, until the next file begins; give that."""
+    """Print appended rows until the next file begins; give the path of that file."""
     from rtec.log.folder import next_log
 
     while True:
         first = reader.rows
         _clock.sleep_until_ns(_clock.now_ns() + _FOLLOW_NS)
-        following = next_log(logs, reader.path)  # looked for first: once it is there, this one has all its rows
+        following = next_log(logs, reader.path)  # before reading: once the next file exists, this one has all its rows
         reader.refresh()
         print_rows(reader, first, degc=degc, header=False)
         if following is not None:
@@ -277,7 +277,7 @@ def _segments(logs: Path, from_: str | None, to: str | None) -> "list[Segment]":
 
 
 def _opened(logs: Path, from_: str | None, to: str | None, utc: bool) -> "Log":
-    """One file as it is; else a stretch."""
+    """A single file as a log; a folder as a stretch of logs."""
     from rtec.log.reader import open_log
     from rtec.log.stretch import LogStretch, instant_ns
 

@@ -1,4 +1,4 @@
-"""`rtec`: puts the commands together; turns errors into one clear message and an exit status.
+"""`rtec`: assembles the commands; turns errors into one message and an exit status.
 
 Exit status: 0 done; 1 a check or limit failed; 2 wrong use or bad input; 130 interrupted.
 """
@@ -63,12 +63,12 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
         "explain": "explain.explain",
     },
 }
-"""Every command of `rtec`, by what people want to do: its module in `rtec.cli`, and what that calls it. A command is in
-one of these groups, or it does not exist."""
+"""Every command of `rtec`, by purpose: its module in `rtec.cli`, and its name there. This table is the only list of
+commands."""
 
 
 def application(named: str = "") -> App:
-    """`rtec` with one command, whose module alone is loaded; with all where it has none of that name."""
+    """`rtec` with one command, so that only its module is loaded; with all commands where none has that name."""
     app = App(
         name="rtec",
         pretty_exceptions_enable=False,
@@ -96,7 +96,7 @@ Start with `rtec demo`: a simulated machine, uncorrected and corrected.
     return app
 
 
-# Depending on its version typer brings click with it or asks for it; its own exceptions say which one it is.
+# Depending on its version typer contains click or requires it; its own exceptions show which.
 USAGE_ERROR: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
@@ -116,9 +116,9 @@ def _main(
 
 def main() -> None:
     """Run the command line and leave with its status."""
-    program = sys.modules["__main__"]  # without a name, a process that is started does not import this one once more
+    program = sys.modules["__main__"]  # without a name, child processes do not import this module again
     program.__spec__ = program.__file__ = None
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is there: as in `rtec.parallel`, from the start
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported, as in `rtec.parallel`
     sys.unraisablehook = unraisable
     warnings.showwarning = _warned
     sys.exit(status(sys.argv[1:]))
@@ -132,24 +132,24 @@ def _warned(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """A warning in one line, without the place in the code."""
+    """Print a warning in one line, without the place in the code."""
     del category, filename, lineno, file, line
     typer.echo(f"rtec: {message}", err=True)
 
 
 def unraisable(what: "sys.UnraisableHookArgs") -> None:
-    """Where Python can raise nothing, as while it clears up an object, Ctrl-C would be lost: it is given once more."""
+    """Hook for exceptions that Python cannot raise, as in a destructor: repeats Ctrl-C, which would be lost there."""
     if what.exc_type is KeyboardInterrupt:
-        left = threading.Event()
-        threading.Thread(target=_interrupt, args=(left,), daemon=True).start()
-        left.set()
+        hook_ended = threading.Event()
+        threading.Thread(target=_interrupt, args=(hook_ended,), daemon=True).start()
+        hook_ended.set()
     else:
         sys.__unraisablehook__(what)
 
 
-def _interrupt(left: threading.Event) -> None:
-    """Interrupt the main thread a moment after it has left the hook: inside it would be lost again."""
-    left.wait()
+def _interrupt(hook_ended: threading.Event) -> None:
+    """Interrupt the main thread shortly after the hook has ended: inside it the interrupt would be lost again."""
+    hook_ended.wait()
     threading.Event().wait(0.05)
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
@@ -160,7 +160,7 @@ def status(arguments: list[str]) -> int:
         try:
             return _status(arguments)
         except BrokenPipeError:
-            sys.stderr.close()  # whoever read our output has ended; there is nobody to tell
+            sys.stderr.close()  # the reader of the output has ended
             return 0
 
 
@@ -168,7 +168,7 @@ def _status(arguments: list[str]) -> int:
     try:
         code = application(next(iter(arguments), ""))(args=arguments, prog_name="rtec", standalone_mode=False)
     except RtecError as e:
-        return _told(str(e))
+        return _print_error(str(e))
     except USAGE_ERROR as e:
         return _wrong_use(e)
     except (KeyboardInterrupt, typer.Abort):
@@ -176,7 +176,7 @@ def _status(arguments: list[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _told(message: str) -> int:
+def _print_error(message: str) -> int:
     for line in message.splitlines():
         typer.echo(f"rtec: {line}", err=True)
     return 2

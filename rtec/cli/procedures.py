@@ -1,4 +1,4 @@
-"""`rtec iso230`, `straightness`, `parallelism`, `drift`: from readings to the figures of a report."""
+"""`rtec iso230`, `straightness`, `parallelism`, `drift`: from readings to characteristics and a report."""
 
 from pathlib import Path
 from typing import Annotated

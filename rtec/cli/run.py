@@ -25,7 +25,7 @@ REFRESH_S = 0.2
 
 
 class RunScreen:
-    """A live table on a terminal; where there is none, a line when the loop begins. And a line for every event."""
+    """A live table on a terminal, else a line when the loop begins; and a line for every event."""
 
     def __init__(self, setup: "Setup", duration_s: float | None, log: Path | None, quiet: bool) -> None:
         from rtec.daemon.process import LinePrinter
@@ -59,7 +59,7 @@ class RunScreen:
             )
 
     def event(self, event: "Event") -> None:
-        """Say what happened; from any thread, and nobody waits for it."""
+        """Print an event; callable from any thread, does not block."""
         by = "" if event.who == "rtec" else f", by {event.who}"
         text = event.text.removeprefix(f"{event.what}: ")
         self._aloud.line(": ".join(part for part in (f"{event.utc} {event.what}{by}", text) if part))
@@ -71,7 +71,7 @@ class RunScreen:
             typer.echo(line, err=True)
 
     def update(self, status: "Status") -> None:
-        """Show a status, not more often than eyes can follow."""
+        """Show a status, at most a few times a second."""
         if self._on and status.cycles and abs(status.time_s - self._shown_s) >= REFRESH_S:
             self._shown_s = status.time_s
             self._live.update(Group(_axes(status), self._foot(status)))
@@ -119,7 +119,7 @@ def show_report(setup: "Setup", report: "Report") -> None:
 
 
 def device_lines(devices: dict[str, dict[str, Any]]) -> list[str]:
-    """One line a device: how often it failed, and the last reason of everything that it does."""
+    """One line a device: number of failures, and the last reason for each of its functions."""
     lines = []
     for name, found in devices.items():
         reasons = "; ".join(dict.fromkeys(found["last"].values()))

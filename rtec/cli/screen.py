@@ -1,6 +1,6 @@
-"""rich's console shows text from outside as text: no markup, no escape codes, no lines that nobody wrote.
+"""A console of rich that shows foreign text as plain text: no markup, no escape codes, no forged lines.
 
-Its own codes go past the shield of standard output and error (`rtec.cli.shield`).
+Its own codes bypass the shield of standard output and error (`rtec.cli.shield`).
 """
 
 from collections.abc import Iterable
@@ -14,10 +14,10 @@ from rtec.text import clean_lines
 
 
 class Console(rich.console.Console):
-    """rich's console; brackets in a text are brackets, and what is not printable is shown as its escape.
+    """rich's console, where brackets in a text are no markup, and unprintable characters are shown as escapes.
 
     Args:
-        more: as rich's.
+        more: further arguments of `rich.console.Console`.
     """
 
     def __init__(self, **more: Any) -> None:
@@ -25,7 +25,7 @@ class Console(rich.console.Console):
 
     @property
     def file(self) -> IO[str]:
-        """Where it draws: the stream itself, behind the shield and behind what a live display puts before that."""
+        """The stream to draw on: the original one, without the shield and without the proxy of a live display."""
         out = super().file
         while hasattr(out, "rich_proxied_file"):
             out = out.rich_proxied_file
@@ -36,6 +36,6 @@ class Console(rich.console.Console):
         self._file = new_file
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Draw, with every text cleaned."""
+        """Render as rich, with every text cleaned."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(clean_lines(segment.text), segment.style)

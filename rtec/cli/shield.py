@@ -1,4 +1,4 @@
-"""What is written to standard output and error is text: no escape codes, no lines that nobody wrote."""
+"""Cleans standard output and error: no escape codes, no forged lines."""
 
 import sys
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from rtec.text import clean_lines
 
 
 class _Shield:
-    """A stream that is written cleaned text; rich knows such proxies and writes to what is behind them."""
+    """A stream that cleans its text; rich recognises such a proxy and writes to the stream behind it."""
 
     def __init__(self, stream: TextIO) -> None:
         self.rich_proxied_file = stream
@@ -23,7 +23,7 @@ class _Shield:
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Clean whatever is written to standard output and error inside."""
+    """Context in which all text to standard output and error is cleaned."""
     out, err = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = cast(TextIO, _Shield(out)), cast(TextIO, _Shield(err))
     try:

@@ -68,7 +68,7 @@ def studio(
     if browser:
         import webbrowser
 
-        # It starts while the server does, and waits at the open port.
+        # The browser starts in parallel with the server and waits at the open port.
         webbrowser.open(opened.url)
     from rtec.studio.front import serve
 

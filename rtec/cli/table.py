@@ -18,7 +18,7 @@ class _MakesByDefault(Group):
     """`rtec table MODEL` is `rtec table write MODEL`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the name of the command in where there is none."""
+        """Insert `write` where no command is named."""
         if args and args[0] not in (*self.commands, "--help", "-h"):
             args = ["write", *args]
         return super().parse_args(ctx, args)
@@ -179,7 +179,7 @@ def _axis(model: "Model", name: str) -> Any:
 
 
 def _axes(model: "Model", axis: str, cross: str | None) -> Any:
-    """Axes that move, is corrected, and moves beside the first one (or None)."""
+    """The axis that moves, the one that is corrected, and the second one that moves (or None)."""
     from rtec.correction.tables.predict import table_axes
     from rtec.errors import ConfigError
 

@@ -1,4 +1,4 @@
-"""A second process for work that can go on meanwhile; it ends when its maker does, however that ends."""
+"""A second process for parallel work; it always ends with its parent."""
 
 import signal
 from collections.abc import Callable
@@ -14,11 +14,11 @@ T = TypeVar("T")
 class Beside(Generic[T]):
     """Calls a function in a process of its own.
 
-    Use as a context: leaving it ends the process, whether it is done or not.
+    Use as a context manager: leaving it ends the process, finished or not.
 
     Args:
         function: importable by name; its arguments and result are pickled.
-        arguments: for it.
+        arguments: arguments of the function.
     """
 
     def __init__(self, function: Callable[..., T], *arguments: Any) -> None:
@@ -40,7 +40,7 @@ class Beside(Generic[T]):
         """Wait for the function's result.
 
         Raises:
-            RtecError: what the function raised, or that the process died.
+            RtecError: the function raised it, or the process died.
         """
         try:
             done, value = self._here.recv()
@@ -52,7 +52,7 @@ class Beside(Generic[T]):
 
 
 def _call(pipe: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the maker ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the parent ends this process
     try:
         pipe.send((True, function(*arguments)))
     except RtecError as e:

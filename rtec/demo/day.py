@@ -1,8 +1,8 @@
 """The working day: production that warms the machine up, a part every half hour, a night to cool, check cuts in it.
 
 A part is one continuous contour, as in finish turning: face inwards (70 mm), turn a cylinder (200 mm) towards the
-chuck, shoulder outwards (70 mm). The same day is lived through twice: with the correction off, straight through the
-simulated machine; and on, through the loop of `rtec run` on a clock that moves the simulated machine when it sleeps.
+chuck, shoulder outwards (70 mm). The same day is simulated twice: with the correction off, by the simulated machine
+alone; and on, through the loop of `rtec run` with a clock that moves the simulated machine when it sleeps.
 """
 
 from collections.abc import Iterator
@@ -19,9 +19,9 @@ FACE_Z_MM, SHOULDER_Z_MM = 330.0, 130.0
 CYLINDER_X_MM, OUTSIDE_X_MM = 40.0, 110.0
 FEED_MM_MIN = 720.0
 EVERY_NS = 40_000_000
-"""The tool tip is looked at this often along a cut, every half millimetre."""
+"""Interval of records of the tool tip along a cut: one every half millimetre."""
 WAIT_S = 10
-"""While the machine works, one cycle of the loop this often."""
+"""Interval of the loop's cycles between cuts."""
 CUT_EVERY_S, CHECK_EVERY_S = 1800, 7200
 WARM_H, NIGHT_H = 8, 16
 FACE, CYLINDER, SHOULDER, OTHER = 0, 1, 2, -1
@@ -41,7 +41,7 @@ G0 Z{FACE_Z_MM + 5:g}
 
 @dataclass(frozen=True)
 class Work:
-    """The machine works, or stands (speed 0), and nothing is recorded."""
+    """The machine works, or is at rest (speed 0), without records of the tip."""
 
     seconds: int
     rpm: float
@@ -50,7 +50,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Cut:
-    """A part is cut; the spindle turns only for it where the machine stands before."""
+    """A part is cut; if the machine was at rest before, the spindle turns for the cut only."""
 
     rpm: float
 
@@ -62,7 +62,7 @@ class Cut:
 
 @dataclass(frozen=True)
 class Plan:
-    """How long the day is; the whole one by default, a short one for tests.
+    """Length of the day; a whole day by default, a shorter one for tests.
 
     Attributes:
         warm_h, night_h: hours of production and of cooling.
@@ -75,7 +75,7 @@ class Plan:
     check_every_s: int = CHECK_EVERY_S
 
     def steps(self, seed: int) -> Iterator[Work | Cut]:
-        """What happens on the day of a seed: each hour of production its own spindle speed and share of motion."""
+        """Steps of the day of a seed: each hour of production has its own spindle speed and share of motion."""
         rng = np.random.default_rng([seed, 20])
         speeds = rng.uniform(1800.0, 3000.0, 24).round(-1)
         duties = rng.uniform(0.2, 0.5, 24)
@@ -90,26 +90,27 @@ class Plan:
 
     @property
     def cuts(self) -> int:
-        """How many parts."""
+        """Number of parts."""
         return 1 + round(self.warm_h * 3600 / self.cut_every_s) + round(self.night_h * 3600 / self.check_every_s)
 
 
 @dataclass(frozen=True)
 class Track:
-    """One day as it was recorded: n instants, along the cuts every 40 ms, between them every 10 s.
+    """Record of one day: n instants, along the cuts every 40 ms, between them every 10 s.
 
     Attributes:
         time_ns: simulated time, (n,).
-        part: which part is cut, from 0; -1 between parts, (n,).
+        part: number of the part, from 0; -1 between parts, (n,).
         surface: FACE, CYLINDER, SHOULDER or OTHER, (n,).
         commanded_mm: (n, 2).
-        reading_mm: encoders, not rounded to counts, (n, 2).
-        raw_counts: encoders, (n, 2).
-        inserted_counts: what stood in the machine at that instant, (n, 2).
+        reading_mm: encoder positions, not rounded to counts, (n, 2).
+        raw_counts: encoder counts, (n, 2).
+        inserted_counts: counts inserted at that instant, (n, 2).
         tip_um: tool relative to workpiece, actual minus commanded, (n, 3).
-        geometric_um: the same minus what the encoders show, (n, 3): what the model is to predict.
+        geometric_um: tool relative to workpiece, actual minus encoder positions, (n, 3): the error that a model
+            predicts.
         degc: sensors, (n, sensors).
-        body_degc: truth behind them, (n, bodies + air).
+        body_degc: true temperatures, (n, bodies + air).
     """
 
     time_ns: Ints
@@ -125,7 +126,7 @@ class Track:
     body_degc: Floats
 
     def rows(self, index: NDArray[np.bool_] | Ints) -> "Track":
-        """Some instants."""
+        """The track with some instants only."""
         return Track(**{k: v[index] for k, v in vars(self).items()})
 
     @property
@@ -135,7 +136,7 @@ class Track:
 
 
 def surface_of(commanded_mm: Floats) -> Ints:
-    """Which surface is being cut at commanded positions (n, 2): only where the tool is well on it."""
+    """Surface that is cut at commanded positions (n, 2): OTHER near its ends."""
     x, z = commanded_mm.T
     inside = (x > CYLINDER_X_MM + 1.0) & (x < OUTSIDE_X_MM - 1.0)
     along = (z > SHOULDER_Z_MM + 1.0) & (z < FACE_Z_MM - 1.0)

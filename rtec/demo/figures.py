@@ -1,4 +1,4 @@
-"""Figures of the demo's report: the day over time, part by part, and what is not corrected.
+"""Figures of the demo's report: the day over time, part by part, and the uncorrected rest.
 
 Uncorrected and corrected differ in colour, marker and line.
 """
@@ -26,7 +26,7 @@ def over_time(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]], night
         hours: (n,).
         panels: title, then uncorrected and corrected error, µm, (n,) or (n, places): the mean as a line, the range
             over the places as a band.
-        night_from_h: from here on the machine stands and cools.
+        night_from_h: time from which the machine is at rest and cools.
     """
     figure, axes = stacked(*[3.9] * len(panels))
     for ax, (title, *both) in zip(axes, panels, strict=True):
@@ -48,7 +48,7 @@ def straightness_bars(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]
     """One bar a part, uncorrected and corrected side by side.
 
     Args:
-        hours: when the part was cut, (n,).
+        hours: time of the cut, (n,).
         panels: title, then uncorrected and corrected, µm, (n,).
     """
     figure, axes = stacked(*[3.6] * len(panels))
@@ -72,7 +72,7 @@ def profiles(panels: Sequence[tuple[str, str, Floats, Floats, Floats]]) -> "MplF
     """The line of a surface, uncorrected and corrected, about its best-fit line.
 
     Args:
-        panels: title, name of the axis below, place, mm, (n,), uncorrected and corrected, µm, (n,).
+        panels: title, title of the lower axis, place, mm, (n,), uncorrected and corrected, µm, (n,).
     """
     figure, axes = stacked(*[3.6] * len(panels))
     for ax, (title, below, place, *both) in zip(axes, panels, strict=True):
@@ -88,7 +88,7 @@ def profiles(panels: Sequence[tuple[str, str, Floats, Floats, Floats]]) -> "MplF
 
 @as_png
 def temperatures(hours: Floats, degc: Mapping[str, Floats], night_from_h: float) -> "MplFigure":
-    """Temperatures over the day, °C, (n,) by name, named in the order of their highest."""
+    """Temperatures over the day, °C, (n,) by name; names in the order of the maxima."""
     figure, (ax,) = stacked(5.5)
     _night(ax, hours, night_from_h)
     hottest_first = sorted(enumerate(degc.items()), key=lambda item: -float(item[1][1].max()))
@@ -123,7 +123,7 @@ def tip_by_part(title: str, rows: Sequence[tuple[str, Floats]]) -> "MplFigure":
     """Tip error part by part with several models, side by side.
 
     Args:
-        title: of the figure.
+        title: title of the figure.
         rows: name, root mean square of each part, µm, (parts,); drawn in grey, orange, blue.
     """
     figure, (ax,) = stacked(4.4)
@@ -153,7 +153,7 @@ def _night(ax: "Axes", hours: Floats, from_h: float) -> None:
 
 
 def _names(ax: "Axes", place: Floats, both: Sequence[Floats]) -> None:
-    """Name each line where the two are furthest apart, on the outer side."""
+    """Write the name of each line at the largest distance of the two, on the outer side."""
     low, high = min(float(v.min()) for v in both), max(float(v.max()) for v in both)
     room = max(high - low, 1e-9)
     ax.set_ylim(*_with_room(ax.get_ylim(), 0.16 * room))

@@ -1,10 +1,10 @@
-"""Errors that the second machine of the demo has and its first model knows nothing of.
+"""Errors that the second machine of the demo has and its first model lacks.
 
-Each is a fault that a turning centre gets, written down here as physics and apart from the catalogue of effects on
-purpose: what is to be found must not be made of what it is found with. Sizes and places are drawn by a seed.
+Each is a typical fault of a turning centre, written as physics and independent of the catalogue of effects on purpose:
+the diagnosis must not find its own formulas. A seed draws sizes and places.
 
-Symbols: `q` position, mm; `way` where the slide lies in its play, -1 to +1: the direction it last went; `T` true
-temperature of a body, °C.
+Symbols: `q` position, mm; `way` position of the slide in its play, -1 to +1: its last direction; `T` true temperature
+of a body, °C.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,12 +25,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Here:
-    """What a fault depends on.
+    """State on which a fault depends.
 
     Attributes:
         q: positions by axis, mm, (n,).
         way: direction by axis, (n,).
-        degc: true temperatures by body ("air" too).
+        degc: true temperatures by body ("air", too).
     """
 
     q: Mapping[str, Floats]
@@ -44,14 +44,14 @@ Error = Callable[[Here], Floats]
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a machine, its numbers drawn.
+    """A fault of a machine with drawn numbers.
 
     Attributes:
-        name: by which it is asked for.
-        words: what is wrong, for people.
-        component: that it acts on, a displacement.
+        name: name for `--hidden`.
+        words: description for people.
+        component: component error that it feeds, a displacement.
         right: effects of the catalogue that describe it.
-        error: of the component.
+        error: error of the component.
     """
 
     name: str
@@ -137,7 +137,7 @@ FAULTS: Mapping[str, Callable[[np.random.Generator], Fault]] = {
 
 
 def draw(seed: int, name: str | None = None) -> Fault:
-    """Draw a fault and its numbers; a name chooses which, the seed still says how large.
+    """Draw a fault and its numbers; with a name, draw its numbers only.
 
     Raises:
         ConfigError: no fault has that name.
@@ -150,7 +150,7 @@ def draw(seed: int, name: str | None = None) -> Fault:
 
 
 def with_play(truth: Truth, fault: Fault) -> Truth:
-    """The truth with the play that a fault brings; the slide really lies in it."""
+    """The truth with the play of a fault, so that the slide really moves in it."""
     axes = {
         name: axis.model_copy(update={"backlash_um": axis.backlash_um + fault.play_um.get(name, 0.0)})
         for name, axis in truth.axis.items()
@@ -159,7 +159,7 @@ def with_play(truth: Truth, fault: Fault) -> Truth:
 
 
 class FaultyGeometry(Geometry):
-    """The true errors of a machine with a fault more."""
+    """The true errors of a machine with an additional fault."""
 
     def __init__(self, machine: Machine, truth: Truth, bodies: tuple[str, ...], seed: int, fault: Fault) -> None:
         super().__init__(machine, truth, bodies, seed)
@@ -168,19 +168,19 @@ class FaultyGeometry(Geometry):
         self._moves_mm = np.array([1e-3 if fault.component[1] == letter else 0.0 for letter in "XYZ"])
 
     def set_temperatures(self, body_degc: Floats, time_s: float) -> None:
-        """As of any machine; kept for the fault."""
+        """As `Geometry`; stores the temperatures for the fault."""
         super().set_temperatures(body_degc, time_s)
         self._degc = dict(zip(self._bodies, map(float, body_degc), strict=True))
 
     def tip_mm(self, reading_mm: Floats, slide_mm: Floats) -> Floats:
-        """As of any machine, and the shift that the fault adds."""
+        """As `Geometry`, plus the shift by the fault."""
         way = {n: self._way(a, reading_mm[:, a], slide_mm[:, a]) for a, n in enumerate(self._names)}
         here = Here({n: reading_mm[:, a] for a, n in enumerate(self._names)}, way, self._degc)
         moved = self._fault.error(here)[:, None] * self._moves_mm
         return np.asarray(super().tip_mm(reading_mm, slide_mm) + moved)
 
     def _way(self, number: int, reading_mm: Floats, slide_mm: Floats) -> Floats:
-        """Where a slide lies in its play, from where it is and what its encoder shows."""
+        """Position of a slide in its play, -1 to +1, from slide and encoder positions."""
         axis = self.axes[number]
         if axis.on_scale or axis.half_play_mm <= 0.0:
             return np.zeros(len(reading_mm))
@@ -190,7 +190,7 @@ class FaultyGeometry(Geometry):
 
 
 def with_fault(sim: SimulatedMachine, fault: Fault | None, seed: int) -> SimulatedMachine:
-    """Give a simulated machine a fault; None leaves it as it is."""
+    """Add a fault to a simulated machine; None adds nothing."""
     if fault is not None:
         sim.geometry = FaultyGeometry(sim.machine, sim.truth, sim.thermal.bodies, seed, fault)
         sim.geometry.set_temperatures(sim.thermal.body_degc, float(sim.thermal.time_s))

@@ -1,4 +1,4 @@
-"""Lives through a day: uncorrected straight through the machine, corrected through the loop of `rtec run`."""
+"""Simulates a day: uncorrected by the machine alone, corrected through the loop of `rtec run`."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -39,7 +39,7 @@ class Book:
         self.part = -1
 
     def write(self, seen: MotionRecording, cutting: bool, inserted: Any) -> None:
-        """Take what was seen; temperatures are those of now."""
+        """Append a recording, with the present temperatures."""
         n = len(seen.time_ns)
         surface = surface_of(seen.commanded_mm) if cutting else np.full(n, OTHER, np.int64)
         self._pieces.append({
@@ -52,7 +52,7 @@ class Book:
         })  # fmt: skip
 
     def stand(self) -> None:
-        """Write down a machine between parts: nobody looks at its tip."""
+        """Append an instant between parts, without the tip."""
         sim, none = self._machine, np.full((1, 3), np.nan)
         counts, here = sim.raw_counts[None], sim.commanded_mm[None]
         reading = counts.astype(np.float64) + 0.5
@@ -60,17 +60,17 @@ class Book:
         self.write(standing, False, sim.inserted_counts)
 
     def track(self) -> Track:
-        """Everything so far."""
+        """The track so far."""
         names = Track.__dataclass_fields__
         return Track(**{k: np.concatenate([p[k] for p in self._pieces]) for k in names})
 
 
 class MachineClock:
-    """A clock whose sleep is the simulated machine's life, written down in a book at every multiple of `EVERY_NS`.
+    """A clock that advances the simulated machine when it sleeps, and records it at every multiple of `EVERY_NS`.
 
     Attributes:
-        work: what the machine does while the clock sleeps; None: it runs its program.
-        looked: whether the instant just reached is one that is written down.
+        work: work of the machine while the clock sleeps; None: it runs its program.
+        looked: whether the present instant is recorded.
     """
 
     def __init__(self) -> None:
@@ -80,16 +80,16 @@ class MachineClock:
         self._kept: list[tuple[int, Floats, Ints]] = []
 
     def drive(self, machine: SimulatedMachine, book: Book) -> None:
-        """From now on be the time of this machine."""
+        """Drive this machine from now on."""
         self._machine, self._book = machine, book
         self._per_mm = np.array([a.counts_per_mm for a in machine.machine.axes])
 
     def now_ns(self) -> int:
-        """The machine's own time."""
+        """Time of the machine."""
         return self._machine.time_ns if self._machine else 0
 
     def sleep_until_ns(self, instant_ns: int) -> None:
-        """Let the machine live until then."""
+        """Advance the machine to an instant."""
         machine = self._machine
         if machine is None:
             return
@@ -98,7 +98,7 @@ class MachineClock:
             machine.work((instant_ns - machine.time_ns) / NS, self.work.rpm, self.work.feed_duty)
             self._book.stand()
         elif instant_ns % NS == 0:
-            # At a whole second the temperatures move on: look back at the second with those that it had.
+            # Temperatures change at a whole second: first compute the past second with its own ones.
             self._look_back(machine)
             recording = machine.record_to(instant_ns, EVERY_NS)
             self._book.write(recording, True, machine.inserted_counts)
@@ -108,7 +108,7 @@ class MachineClock:
                 self._kept.append((instant_ns, machine.save()["axes"], machine.inserted_counts))  # type: ignore[arg-type]
 
     def _look_back(self, machine: SimulatedMachine) -> None:
-        """Work out the tip errors of a second at once, which is quicker than one by one."""
+        """Compute the tip errors of a second together, which is faster than one by one."""
         if not self._kept:
             return
         trace = np.stack([axes for _, axes, _ in self._kept])[:, :, [COMMAND, MOTOR, SLIDE, READING]]
@@ -120,13 +120,13 @@ class MachineClock:
 
 @dataclass(frozen=True)
 class LoopSide:
-    """What the loop read and sent at the instants of a track, and what only the simulation knows of its play.
+    """Samples and commands of the loop at the instants of a track, and the play that only the simulation knows.
 
     Attributes:
         samples, commands: n rows.
-        seen_counts: what the controller takes for the position once the cycle is over, (n, axes).
-        direction: the step's own direction of every axis, (n, axes).
-        play_um: where the slide lies in its play: slide minus motor, (n, axes).
+        seen_counts: position that the controller reads after the cycle, (n, axes).
+        direction: direction of every axis in the step, (n, axes).
+        play_um: position of the slide in its play: slide minus motor, (n, axes).
     """
 
     samples: Samples
@@ -142,7 +142,7 @@ class LoopSide:
 
 
 def uncorrected(machine: Machine, truth: Truth, seed: int, plan: Plan, progress: Progress | None = None) -> Track:
-    """The day without correction; no loop is needed."""
+    """The day without correction, and without the loop."""
     sim = SimulatedMachine(machine, truth, seed)
     book = Book(sim)
     none = np.zeros(len(machine.axes), np.int64)
@@ -164,7 +164,7 @@ def uncorrected(machine: Machine, truth: Truth, seed: int, plan: Plan, progress:
 
 
 def step_settings(model: Model) -> StepSettings:
-    """What the step of the demo is made of: that of `rtec run` at the demo's rate."""
+    """Settings of the demo's step: those of `rtec run` at the demo's rate."""
     return StepSettings(model, dict.fromkeys(model.machine.axis_names, LIMITS), {}, GUARD, 10.0 / RATE_HZ)
 
 
@@ -177,7 +177,7 @@ def corrected(
     progress: Progress | None = None,
     fault: Fault | None = None,
 ) -> tuple[Track, LoopSide]:
-    """The day through the loop, with the simulated machine's own driver on both ends."""
+    """The day through the loop, with the simulated machine's driver for input and output."""
     machine, clock = model.machine, MachineClock()
     kind = driver_class("sim", "demo")
     device = kind(kind.options_model(truth=truth_file, seed=seed), machine, clock)
@@ -212,7 +212,7 @@ def corrected(
 
 
 class _Sides:
-    """Collects the loop's side."""
+    """Collects a `LoopSide`."""
 
     def __init__(self, sim: SimulatedMachine, step: Step) -> None:
         self._sim, self._step, self._at = sim, step, step.source.floats.at["d"]
@@ -237,6 +237,6 @@ class _Sides:
 
 
 def _start_cut(sim: SimulatedMachine, cut: Cut) -> int:
-    """Load the program; give the whole second at which it is over, ns."""
+    """Load the program; give the whole second at which it ends, ns."""
     sim.load_program(cut.program)
     return -(-(sim.time_ns + round(sim.program_s * NS)) // NS) * NS

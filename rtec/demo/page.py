@@ -20,7 +20,7 @@ TITLE = "A turning centre over a day, uncorrected and corrected"
 def write_report(story: Story, folder: Path) -> Path:
     """Write `report.html`, `result.json` and the figures; give the page's path.
 
-    Everything is made in a hidden folder first, and each file then moved to its place, the page last.
+    All files are written into a hidden folder first, then moved to their places, the page last.
 
     Raises:
         RtecError: the folder cannot be written.
@@ -29,7 +29,7 @@ def write_report(story: Story, folder: Path) -> Path:
 
 
 def page_of(story: Story) -> Page:
-    """Put the report together."""
+    """The page of the report."""
     by_error = {row["error"]: row for row in story.figures()}
     return Page(
         title=TITLE,
@@ -68,12 +68,12 @@ def command(story: Story) -> str:
 
 
 def nist_words(factor: list[float] | None) -> str:
-    """What NIST reports, for a sentence; nothing where it reports nothing."""
+    """Improvement factors of NIST for a sentence; empty where there are none."""
     return f" (NIST reports {factor[0]:.0f}-{factor[1]:.0f} × [G 4])" if factor else ""
 
 
 def error_rows(story: Story) -> list[list[str]]:
-    """The main table: error, largest off, on, factor, typical off, on, factor, NIST."""
+    """Rows of the main table: error, largest uncorrected, corrected, factor, the same for typical, NIST."""
     return [
         [
             row["error"],
@@ -91,7 +91,7 @@ ERROR_HEAD = (
 
 
 def limits_in_words(story: Story) -> list[str]:
-    """What no correction here can remove, and why, in sentences."""
+    """Sentences on errors that no correction can remove here, with the reasons."""
     facts = story.facts()
     across, finer = facts["across"], facts["straightness_with_finer_encoder"]
     return [
@@ -123,7 +123,7 @@ def _sizes(story: Story) -> Section:
 
 
 def _diameter(story: Story) -> Section:
-    """The picture of the README: what a customer measures."""
+    """The picture of the README: the diameter, which a customer measures."""
     off, on = story.sizes
     png = figures.over_time(off.hours, [("Diameter error", off.diameter_um, on.diameter_um)], story.plan.warm_h)
     return Section(

@@ -1,8 +1,8 @@
-"""Where the tip error of the corrected day comes from, part by part.
+"""Sources of the corrected day's tip error.
 
-Only a simulation can say this, because it knows the truth. Along an axis, with `e` the tip error, `g` what it is
-beyond what the encoder shows, `r` reading and `w` command, mm, `k` inserted counts, `a` the applied and `q` the
-requested correction:
+Only a simulation knows them, because it knows the truth. Along an axis, with `e` the tip error, `g` the same relative
+to the encoder position, `r` reading and `w` command, mm, `k` inserted counts, `a` the applied and `q` the requested
+correction:
 
     e = g + (r - w)                    (the nominal motion of linear axes has no lever)
       = [r - w + k/c]                  servo: following error, the encoder's own count, waiting for a cycle
@@ -11,11 +11,11 @@ requested correction:
       + [Δ from true temperatures]     sensors: lag, noise and resolution
       + [Δ from a fit without noise]   probe noise in the coefficients
       + [d]                            drift that no sensor sees
-      + [play - ½ B·direction]         play: where the slide lies in it, against what the model thinks
-      + [the rest of g + q]            the model: shapes that were there on the first part, and what heat changed
+      + [play - ½ B·direction]         play: true position of the slide in it minus the model's
+      + [the rest of g + q]            the model: shapes that exist on the first part, and changes by heat
 
-The first line, and so the sum, holds only if the simulation, its counts and the ledger agree; the tests check it. Each
-Δ is the difference of two runs of the step over the recorded samples.
+The first line, and with it the sum, holds only if the simulation, its counts and the ledger agree; the tests check it.
+Each Δ is the difference of two runs of the step over the recorded samples.
 """
 
 from dataclasses import dataclass
@@ -48,15 +48,15 @@ WHY = {
 
 @dataclass(frozen=True)
 class ResidualSources:
-    """Parts of the tip error of the corrected day.
+    """Contributions to the tip error of the corrected day.
 
     Attributes:
-        names: of the parts, as in `WHY`.
-        parts_um: radial on the cylinder, axial on face and shoulder, (names, n); counted from the first part.
-        whole_um: the error that they sum to, (n,).
-        part, surface: of each row, (n,).
+        names: names of the contributions, as in `WHY`.
+        parts_um: radial on the cylinder, axial on face and shoulder, (names, n); relative to the first part.
+        whole_um: their sum, the error, (n,).
+        part, surface: part and surface of each row, (n,).
         across_um: the error along Y on the cylinder, which no axis can correct, (m,).
-        radius_mm: of the cylinder.
+        radius_mm: radius of the cylinder.
     """
 
     names: tuple[str, ...]
@@ -68,14 +68,14 @@ class ResidualSources:
     radius_mm: float
 
     def sizes(self) -> list[tuple[str, float, float]]:
-        """Name, root mean square and largest size of each part, µm, the largest first; then the whole."""
+        """Name, root mean square and largest size of each contribution, µm, the largest first; then the sum."""
         rows = [(n, _rms(p), float(np.abs(p).max())) for n, p in zip(self.names, self.parts_um, strict=True)]
         rows.sort(key=lambda row: -row[1])
         return [*rows, ("all together", _rms(self.whole_um), float(np.abs(self.whole_um).max()))]
 
     @property
     def across_on_diameter_um(self) -> float:
-        """What the largest error across does to a diameter: the tool is beside the centre, so 2·(√(R² + e²) - R)."""
+        """Change of a diameter by the largest error across, as the tool is beside the centre: 2·(√(R² + e²) - R)."""
         e_mm = float(np.abs(self.across_um).max()) * 1e-3
         return 1e3 * e_mm**2 / self.radius_mm
 
@@ -83,13 +83,13 @@ class ResidualSources:
 def residual_sources(
     track: Track, side: LoopSide, models: tuple[Model, Model], truth: Truth, seed: int
 ) -> ResidualSources:
-    """Take the corrected day apart.
+    """Divide the tip error of the corrected day into its contributions.
 
     Args:
-        track, side: the day, as the machine and as the loop saw it.
-        models: the one that corrected, and one fitted to the same readings without noise.
-        truth: of the machine.
-        seed: of the day.
+        track, side: record of the machine, and of the loop.
+        models: the correcting model, and one fitted to the same readings without noise.
+        truth: truth of the machine.
+        seed: seed of the day.
     """
     model = models[0]
     machine = model.machine
@@ -118,7 +118,7 @@ def residual_sources(
 
 
 def _counterfactuals(track: Track, side: LoopSide, models: tuple[Model, Model], truth: Truth) -> tuple[Floats, Floats]:
-    """What sensors, and what the probe's noise, did to the requested correction, (n, 2) each, µm."""
+    """Change of the requested correction by the sensors, and by the probe's noise, (n, 2) each, µm."""
     with_truth = _with_true_temperatures(side.samples, track, truth, models[0].machine.sensor_names)
     runs = ((models[0], side.samples), (models[0], with_truth), (models[1], with_truth))
     as_was, true_degc, no_noise = (Step(step_settings(m)).run(samples).requested_um for m, samples in runs)
@@ -126,7 +126,7 @@ def _counterfactuals(track: Track, side: LoopSide, models: tuple[Model, Model], 
 
 
 def _model_play_um(side: LoopSide, model: Model) -> Floats:
-    """What the model thinks of the play along each axis, (n, axes), µm."""
+    """The model's play along each axis, (n, axes), µm."""
     out = np.zeros_like(side.direction)
     for fitted in model.effects:
         if isinstance(fitted.effect, Backlash):
@@ -136,7 +136,7 @@ def _model_play_um(side: LoopSide, model: Model) -> Floats:
 
 
 def _with_true_temperatures(samples: Samples, track: Track, truth: Truth, sensors: tuple[str, ...]) -> Samples:
-    """The same samples, had every sensor shown its body's own temperature (with its offset, which a fit absorbs)."""
+    """The same samples with every sensor at its body's true temperature (plus its offset, which a fit absorbs)."""
     bodies = (*truth.body, "air")
     index = [bodies.index(truth.sensor[s].body) for s in sensors]
     out = samples.copy()
@@ -146,7 +146,7 @@ def _with_true_temperatures(samples: Samples, track: Track, truth: Truth, sensor
 
 
 def _drift_um(track: Track, model: Model, truth: Truth, seed: int) -> Floats:
-    """What the drift alone adds radially and axially, (n, 2), µm."""
+    """Radial and axial error by the drift alone, (n, 2), µm."""
     bodies, here = tuple(truth.body), np.zeros((1, len(model.machine.axes)))
     plain = truth.model_copy(update={"drift_um": ()})
     both = [Geometry(model.machine, t, bodies, seed) for t in (truth, plain)]
@@ -161,7 +161,7 @@ def _drift_um(track: Track, model: Model, truth: Truth, seed: int) -> Floats:
 
 
 def _as_on_first_part(rest: Floats, cut: Ints, surface: Ints, place: Floats) -> tuple[Floats, Floats]:
-    """What a remainder was at the same place of the first part, and what it became since."""
+    """A remainder at the same place of the first part, and its change since then."""
     cell = np.floor(place / SMOOTH_MM).astype(np.int64)
     shape = np.zeros_like(rest)
     for s in (CYLINDER, FACE, SHOULDER):
@@ -173,7 +173,7 @@ def _as_on_first_part(rest: Floats, cut: Ints, surface: Ints, place: Floats) -> 
 
 
 def _from_first_part(value: Floats, cut: Ints, surface: Ints) -> Floats:
-    """Counted from the mean on the first part, as the operator sets the offsets; linear, so sums stay sums."""
+    """Values relative to the mean on the first part, where the operator sets the offsets; linear, so that sums hold."""
     out = value.copy()
     for group in ((CYLINDER,), (FACE, SHOULDER)):
         here = np.isin(surface, group)

@@ -1,8 +1,8 @@
-"""The second story: a machine with a fault that nobody knows, and a model that learns it.
+"""The second story: a machine with a hidden fault, and a model that gets the missing effect.
 
-A fault is drawn. A first model is fitted to half a day of probing, as ever, and corrects the machine; an error remains.
-`rtec diagnose` searches the same readings, the effect that it names is added as `rtec add` does, and the same hours run
-again with the new model through the same loop. Then the story in words: lines of the terminal, sections of the report.
+A fault is drawn. A first model is fitted to half a day of probing and corrects the machine; an error remains.
+`rtec diagnose` searches the same readings. The effect that it names is added as by `rtec add`, and the same hours run
+again with the new model through the same loop. Then come the lines of the terminal and the sections of the report.
 """
 
 from collections.abc import Callable
@@ -35,24 +35,24 @@ Verdict = Literal["named", "among those alike", "not named", "wrongly named"]
 
 LATER_PLAN = Plan(warm_h=1.5, night_h=0.0)
 APART = 1000
-"""The days of this story are other days than those of the first."""
+"""Offset of the seeds, so that the days of this story differ from those of the first one."""
 
 
 @dataclass(frozen=True)
 class Later:
-    """What came of the fault.
+    """Result of the second story.
 
     Attributes:
-        hidden_seed: by which the fault was drawn.
-        fault: what it was.
-        seed: of the hours that were corrected; the probing is the next seed's.
-        readings: numbers that the probe read.
-        noise_um: of the probe.
-        first: model that does not know the fault.
-        diagnosis: of the readings.
-        added: what the addition did; None where nothing was named.
-        healthy: the corrected hours of the machine without the fault, with a model of it: as good as it gets.
-        before, after: the corrected hours with the first and with the new model; None where there is none.
+        hidden_seed: seed of the fault.
+        fault: the fault.
+        seed: seed of the corrected hours; the probing has the next seed.
+        readings: number of probe readings.
+        noise_um: noise of the probe.
+        first: model without the fault.
+        diagnosis: diagnosis of the readings.
+        added: result of the addition; None where no effect was named.
+        healthy: the corrected hours of the machine without the fault, with a model of it: the best possible result.
+        before, after: the corrected hours with the first and with the new model; None where there is no new model.
     """
 
     hidden_seed: int
@@ -69,9 +69,9 @@ class Later:
 
     @property
     def found(self) -> Verdict:
-        """Whether the fault was found; only a simulation can say.
+        """Whether the diagnosis is right, which only a simulation knows.
 
-        "named" only where the diagnosis is sure, and the fault is the first and only effect that it names.
+        "named" only if the diagnosis is certain, and the fault is the first and only effect that it names.
         """
         if self.added is None:
             return "not named"
@@ -107,15 +107,15 @@ class Later:
 
 
 def tell_later(sound: Model, truth_file: Path, hidden_seed: int, name: str | None, seed: int, stage: Stage) -> Later:
-    """Go through the second story.
+    """Run the second story.
 
     Args:
         sound: model of the machine without the fault.
-        truth_file: of that machine.
-        hidden_seed: draws the fault.
-        name: of a fault, where it is not to be drawn.
-        seed: of the first story.
-        stage: called with progress.
+        truth_file: truth of that machine.
+        hidden_seed: seed of the fault.
+        name: name of the fault, or None to draw it.
+        seed: seed of the first story.
+        stage: progress callback, see `Stage`.
     """
     with TemporaryDirectory() as scratch:
         fault, file = draw(hidden_seed, name), Path(scratch) / "truth.toml"
@@ -127,7 +127,7 @@ def tell_later(sound: Model, truth_file: Path, hidden_seed: int, name: str | Non
 def _tell(
     sound: Model, files: tuple[Path, Path], truth: Truth, fault: Fault, seeds: tuple[int, int], stage: Stage
 ) -> Later:
-    """The story once the fault is there; files: the truth without and with it."""
+    """The story after the fault is drawn; files: the truth without and with it."""
     hidden_seed, later = seeds
 
     def live(model: Model, what: str, fault: Fault | None = fault) -> Track:
@@ -167,7 +167,7 @@ def _add(model: Model, named: Finding, measured: Measurement, stage: Stage) -> A
 
 
 def tip_errors_um(track: Track) -> tuple[Ints, Floats]:
-    """Tip error across and along the workpiece while cutting, counted from the mean on the first part.
+    """Tip error across and along the workpiece during the cuts, relative to the mean on the first part.
 
     Returns:
         Part, (n,), and error along X and Z, (n, 2), µm.
@@ -178,12 +178,12 @@ def tip_errors_um(track: Track) -> tuple[Ints, Floats]:
 
 
 def tip_rms_um(track: Track) -> float:
-    """Root mean square distance of the tool tip from where it should be, in the plane of X and Z, µm."""
+    """Root mean square error of the tool tip in the plane of X and Z, µm."""
     return float(np.sqrt(np.mean(np.sum(tip_errors_um(track)[1] ** 2, axis=1))))
 
 
 def by_part_um(track: Track) -> Floats:
-    """The same part by part, (parts,)."""
+    """Root mean square error of each part, µm, (parts,)."""
     part, error = tip_errors_um(track)
     square = np.sum(error**2, axis=1)
     return np.array([float(np.sqrt(square[part == p].mean())) for p in np.unique(part)])
@@ -220,7 +220,7 @@ def later_words(later: Later) -> list[str]:
 
 
 def tip_rows(later: Later) -> list[list[str]]:
-    """Table of tip errors: which run, root mean square in the plane, of the last part."""
+    """Rows of the table of tip errors: run, root mean square in the plane, the same of the last part."""
     runs = [("without the fault, and a model of that machine", later.healthy)]
     runs += [("with the fault, first model", later.before)]
     if later.after is not None:
@@ -232,7 +232,7 @@ TIP_HEAD = ("tool tip, µm rms in X and Z", "all parts", "last part")
 
 
 def later_sections(later: Later) -> list[Section]:
-    """Sections of the report: the story, the evidence, the error falling in the readings and at the tip."""
+    """Sections of the report: the story, the evidence, and the falling error in the readings and at the tip."""
     runs = [("without the fault", by_part_um(later.healthy)), ("first model", by_part_um(later.before))]
     if later.after is not None:
         runs.append(("effect added", by_part_um(later.after)))
@@ -255,7 +255,7 @@ def later_sections(later: Later) -> list[Section]:
 
 
 def _renamed(section: Section, heading: str, file: str) -> Section:
-    """The section under another heading, its figure under another file name."""
+    """The section with another heading and another file name for its figure."""
     figure = section.figure
     kept = Figure(file, figure.png, figure.shows) if figure else None
     return Section(heading, section.text, section.table, kept)

@@ -1,7 +1,7 @@
-"""From tip errors along the cuts to what a workpiece is measured for: diameter, length, straightness.
+"""From tip errors along the cuts to the measured sizes of a workpiece: diameter, length, straightness.
 
-The operator sets the tool offsets on the first part, so diameter and length errors count from there, in the
-uncorrected day as in the corrected one. Straightness counts as it is.
+The operator sets the tool offsets on the first part, so that diameter and length errors are relative to it, on the
+uncorrected day as on the corrected one. Straightness is absolute.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from rtec.demo.day import CYLINDER, FACE, SHOULDER, Floats, Track
 
 STRAIGHT_MM = 70.0
 SMOOTH_MM = 2.5
-"""A turned surface is measured with a stylus behind a filter; 2.5 mm is the usual cut-off for fine turning."""
+"""Cut-off of the filter of a stylus instrument; 2.5 mm is usual for fine turning."""
 NIST_SIZE, NIST_STRAIGHT = (10.0, 20.0), (4.0, 5.0)
 """Improvement factors that the guidelines report for a real turning centre [G 4]."""
 
@@ -22,13 +22,13 @@ class Sizes:
     """Errors of the parts of one day, one entry a part.
 
     Attributes:
-        hours: when the part was begun, (parts,).
+        hours: start of the cut, (parts,).
         diameter_um: twice the radial error at places along the cylinder, (parts, places).
-        place_mm: where these are, mm from the end of the cylinder, (places,).
+        place_mm: these places, mm from the end of the cylinder, (places,).
         length_um: error of the length between face and shoulder, (parts,).
         straight_um: straightness of the cylinder's line over the worst 70 mm of it, (parts,).
         face_straight_um: straightness of the face over its 70 mm, (parts,).
-        tip_um: mean radial and axial tip error, as it is, (parts, 2).
+        tip_um: mean radial and axial tip error, absolute, (parts, 2).
     """
 
     hours: Floats
@@ -83,7 +83,7 @@ def straightness(place_mm: Floats, error_um: Floats) -> float:
 
 
 def worst_straightness(place_mm: Floats, error_um: Floats, length_mm: float) -> float:
-    """Straightness over the worst stretch of a length, µm; starts every 5 mm."""
+    """Straightness over the worst interval of a length, µm; intervals start every 5 mm."""
     starts = np.arange(place_mm[0], place_mm[-1] - length_mm + 1e-9, 5.0)
     inside = [(place_mm >= s) & (place_mm <= s + length_mm) for s in starts]
     return max(straightness(place_mm[i], error_um[i]) for i in inside)

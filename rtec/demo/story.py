@@ -1,4 +1,4 @@
-"""The whole demo: measure one day, fit, live through another day without and with the correction, take stock."""
+"""The whole demo: measures one day, fits, simulates another day without and with the correction, and evaluates it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,28 +23,28 @@ from rtec.model import Model
 from rtec.sim.truth import load_truth
 
 Stage = Callable[[str, int, int], None]
-"""Called with what is going on, how much of it is done, of how much."""
+"""Progress callback: called with the name of a stage, the number of steps done, and their total."""
 
 MACHINE_FILE = Path("machines") / "turning-centre.toml"
 TRUTH_FILE = Path("sim") / "turning-centre.toml"
 FINER = 4
-"""The last question: what would an encoder of so many counts for one do for straightness?"""
+"""Factor of counts of the finer encoder, whose straightness is compared last."""
 FINER_PLAN = Plan(warm_h=0.5, night_h=0.0)
 
 
 @dataclass(frozen=True)
 class Story:
-    """Everything that the demo found.
+    """Result of the demo.
 
     Attributes:
-        plan: how long the working day is.
-        seed, measuring_seed: of the working day and of the day that the model was measured on.
+        plan: length of the working day.
+        seed, measuring_seed: seeds of the working day and of the measuring day.
         model: the fitted model.
-        readings: numbers that the probe read.
-        inside_um, held_out_um: root mean square residual of the readings in the fit and held out of it.
-        off, on: the working day, uncorrected and corrected, as recorded.
-        side: what the loop read and sent on the corrected day.
-        sources: where the error of the corrected day comes from.
+        readings: number of probe readings.
+        inside_um, held_out_um: root mean square residual of the readings in the fit, and of the held-out ones.
+        off, on: records of the working day, uncorrected and corrected.
+        side: samples and commands of the loop on the corrected day.
+        sources: sources of the error on the corrected day.
         finer_um: straightness, worst over the first parts, with a finer encoder: uncorrected, corrected.
         later: the second story; None where it was not run.
     """
@@ -74,7 +74,7 @@ class Story:
         return float(np.mean(self.side.held[self.on.part >= 0]))
 
     def figures(self) -> list[dict[str, Any]]:
-        """One entry a kind of error: largest and typical, off and on, factors, and NIST's."""
+        """One entry a kind of error: largest and typical, uncorrected and corrected, factors, and NIST's."""
         (off, on), nist = self.sizes, {"diameter": NIST_SIZE, "length": NIST_SIZE, "straightness": NIST_STRAIGHT}
         return [
             {
@@ -128,10 +128,10 @@ class Story:
 
 
 def config_folder(given: Path | None = None) -> Path:
-    """Where the demo's machine and truth are: the folder given, or those that come with rtec.
+    """Folder of the demo's machine and truth: the given one, or rtec's own.
 
     Raises:
-        ConfigError: they are not there.
+        ConfigError: the files are missing.
     """
     folder = given or SHIPPED
     missing = [str(folder / name) for name in (MACHINE_FILE, TRUTH_FILE) if not (folder / name).is_file()]
@@ -148,15 +148,15 @@ def tell_story(
     hidden_seed: int | None = None,
     hidden: str | None = None,
 ) -> Story:
-    """Run everything; the uncorrected day, and the fits that only check, run in a second process meanwhile.
+    """Run everything; the uncorrected day and the control fits run in a second process in parallel.
 
     Args:
-        seed: of the working day; the measuring day is the next seed's.
+        seed: seed of the working day; the measuring day has the next seed.
         configs: folder with machine and truth.
-        stage: called with progress.
+        stage: progress callback, see `Stage`.
         plan: a shorter day.
-        hidden_seed: draws the fault of the second story; None: it is not run.
-        hidden: name of a fault, where it is not to be drawn.
+        hidden_seed: seed of the fault of the second story; None: no second story.
+        hidden: name of the fault, or None to draw it.
     """
     plan = plan or Plan()
     if hidden_seed is not None:
@@ -181,7 +181,7 @@ def tell_story(
 
 
 def _beside(seed: int, measuring_seed: int, configs: Path, plan: Plan) -> tuple[Track, Model, tuple[float, float]]:
-    """What the second process does: the uncorrected day; a fit without probe noise; a fit without some hours."""
+    """Work of the second process: the uncorrected day; a fit without probe noise; a fit without some hours."""
     machine, truth = load_machine(configs / MACHINE_FILE), load_truth(configs / TRUTH_FILE)
     off = uncorrected(machine, truth, seed, plan)
     day = training.measure(machine, truth, measuring_seed)

@@ -1,8 +1,8 @@
-"""The measuring day: from it alone comes the model.
+"""The measuring day: the model's only source.
 
-Another day than the one that is corrected (another seed): the spindle runs in steps with rests between, and every
-half hour, later every hour, a probe reads the radial and axial tip error along lines, in both directions. Nothing
-reads the error across (Y), because no axis could correct it.
+It is not the day that is corrected (another seed): the spindle runs in steps with rests between, and every half hour,
+later every hour, a probe reads the radial and axial tip error along lines, in both directions. It does not read the
+error across (Y), because no axis could correct it.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,10 +29,10 @@ Progress = Callable[[int, int], None]
 PROBE_NOISE_UM = 0.3
 LOG_EVERY_S = 10
 LINE_S = 30
-"""A line of stations takes so long, with the spindle standing."""
+"""Duration of a line of stations, with the spindle at rest."""
 SESSION_S = 1800
 # (hours, spindle 1/min, share of the time that the axes move): up and down, with rests, because effects that only
-# ever rise together can't be told apart.
+# rise together are confounded.
 SCHEDULE = (
     (2.0, 2800.0, 0.35),
     (1.0, 0.0, 0.0),
@@ -47,7 +47,7 @@ SCHEDULE = (
 Z_LINES_AT_X_MM = (20.0, 150.0)
 X_LINES_AT_Z_MM = (90.0, 310.0)
 Z_STEP_MM, X_STEP_MM = 11.3, 5.9
-"""No multiples of the screws' pitch, which would hide their cyclic error."""
+"""Steps that are no multiples of the screws' pitch, which would hide their cyclic error."""
 SHORT_SCHEDULE = (
     (2.0, 2800.0, 0.35),
     (1.0, 0.0, 0.0),
@@ -59,7 +59,7 @@ SHORT_SCHEDULE = (
 )
 SHORT_EVERY_S, SHORT_Z_STEP_MM, SHORT_X_STEP_MM = 2700, 23.7, 10.9
 BLOCK, OF_BLOCKS = 3, 4
-"""Sessions are left out of the fit that is checked in blocks of three, every fourth block: whole hours."""
+"""The control fit holds out every fourth block of three sessions: whole hours."""
 
 EFFECTS: tuple[dict[str, object], ...] = (
     # The shape of the guides and screws at 20 °C.
@@ -72,7 +72,7 @@ EFFECTS: tuple[dict[str, object], ...] = (
     {"effect": "cyclic_screw", "component": "EZZ", "axis": "Z", "harmonics": 2},
     {"effect": "backlash", "component": "EXX", "axis": "X"},
     {"effect": "backlash", "component": "EZZ", "axis": "Z"},
-    # Screws: no sensor turns with a screw; the nut's is as near as one gets.
+    # Screws: no sensor turns with a screw; the nut's is the nearest one.
     {"effect": "axis_expansion", "component": "EXX", "axis": "X", "sensor": "T_x_nut"},
     {"effect": "axis_expansion", "component": "EZZ", "axis": "Z", "sensor": "T_z_nut"},
     {"effect": "axis_expansion_nonuniform", "component": "EZZ", "axis": "Z", "sensor": "T_z_nut"},
@@ -93,12 +93,12 @@ EFFECTS: tuple[dict[str, object], ...] = (
 
 @dataclass(frozen=True)
 class Visit:
-    """What is measured on a visit with the probe.
+    """Programme of a measuring day with the probe.
 
     Attributes:
         schedule: hours, spindle 1/min, share of motion; one after the other.
-        every_s: from session to session; twice as long in stretches of four hours and more.
-        z_step_mm, x_step_mm: between stations of a line.
+        every_s: time from session to session; twice as long in phases of four hours and more.
+        z_step_mm, x_step_mm: distance between stations of a line.
     """
 
     schedule: tuple[tuple[float, float, float], ...] = SCHEDULE
@@ -113,13 +113,13 @@ SHORT = Visit(SHORT_SCHEDULE, SHORT_EVERY_S, SHORT_Z_STEP_MM, SHORT_X_STEP_MM)
 
 @dataclass(frozen=True)
 class MeasuringDay:
-    """What was read.
+    """Readings of the measuring day.
 
     Attributes:
-        state: temperatures all day long, positions and directions of the readings among them.
-        tip_um: readings, (n, 3); NaN where nothing was read.
-        noise_free_um: the same as the probe would have read without noise.
-        session: which session an instant belongs to, (n,); -1 between them.
+        state: temperatures of the whole day, with positions and directions of the readings.
+        tip_um: readings, (n, 3); NaN where there is none.
+        noise_free_um: the readings without noise.
+        session: session of each instant, (n,); -1 between sessions.
     """
 
     state: State
@@ -129,7 +129,7 @@ class MeasuringDay:
 
     @property
     def readings(self) -> int:
-        """Numbers read."""
+        """Number of readings."""
         return int(np.isfinite(self.tip_um).sum())
 
 
@@ -146,14 +146,14 @@ def measure(
     visit: Visit | None = None,
     fault: Fault | None = None,
 ) -> MeasuringDay:
-    """Live through the measuring day of a seed.
+    """Simulate the measuring day of a seed.
 
     Args:
-        machine, truth: what is measured.
-        seed: of the day.
-        progress: told seconds done and in all.
-        visit: what is measured; a whole day where not given.
-        fault: that the machine has beyond its truth.
+        machine, truth: the measured machine.
+        seed: seed of the day.
+        progress: progress callback, called with the seconds done and in total.
+        visit: programme of the day; by default a whole day.
+        fault: additional fault of the machine.
     """
     visit = visit or Visit()
     sim = with_fault(SimulatedMachine(machine, truth, seed), fault, seed)
@@ -171,12 +171,12 @@ def measure(
 
 
 def fit_day(day: MeasuringDay, tip_um: Floats | None = None, name: str = "turning-centre") -> Model:
-    """Characterise the machine from the readings of a day, as `rtec fit --effects` does.
+    """Characterise the machine from the readings of a day, as `rtec fit --effects`.
 
     Args:
-        day: what was read.
+        day: the measuring day.
         tip_um: other readings at the same instants; their model is for predictions only, and is not judged.
-        name: of the model.
+        name: name of the model.
     """
     wanted = AskedEffects((), tuple(effects()))
     if tip_um is not None:
@@ -185,7 +185,7 @@ def fit_day(day: MeasuringDay, tip_um: Floats | None = None, name: str = "turnin
 
 
 def held_out_rms_um(day: MeasuringDay) -> tuple[float, float]:
-    """Root mean square of readings minus prediction, µm: sessions in the fit, and sessions left out of it."""
+    """Root mean square of readings minus prediction, µm: of the sessions in the fit, and of the held-out ones."""
     out = (day.session >= 0) & (day.session // BLOCK % OF_BLOCKS == 1)
     model = fit_day(day, np.where(out[:, None], np.nan, day.tip_um))
     left = day.tip_um - model.predict(day.state)
@@ -211,7 +211,7 @@ def measurement_of(day: MeasuringDay, tip_um: Floats, name: str = "measuring-day
 
 
 class _Notebook:
-    """Goes through the day and writes down what is read."""
+    """Runs through the day and collects the readings."""
 
     def __init__(self, sim: SimulatedMachine, rng: np.random.Generator, visit: Visit) -> None:
         self._sim, self._rng, self._visit, self._sessions = sim, rng, visit, 0
@@ -224,7 +224,7 @@ class _Notebook:
             self._log(np.zeros((1, 2)), np.zeros((1, 2)), -1)
 
     def session(self) -> None:
-        """Read every line there and back, from a start that differs each time."""
+        """Read every line in both directions, from a start that differs each time."""
         for line in self._lines():
             self._sim.work(LINE_S)
             towards = np.sign(line[-1] - line[0]) + (line[-1] == line[0])
@@ -251,7 +251,7 @@ class _Notebook:
         self._rows.append((time, np.concatenate([position, direction, degc], axis=1), error, degc, session))
 
     def close(self) -> MeasuringDay:
-        """Give everything as arrays."""
+        """The collected readings as arrays."""
         machine = self._sim.machine
         table = np.concatenate([row[1] for row in self._rows])
         axes, error = machine.axes, np.concatenate([row[2] for row in self._rows])

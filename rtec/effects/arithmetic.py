@@ -1,14 +1,13 @@
-"""Arithmetic written as text: what is let through, which of its parameters are coefficients, and their units.
+"""Arithmetic written as text: what is allowed, which of its parameters are coefficients, and their units.
 
-Numbers, names, `+ - * / **` and a few functions are let through; nothing in the text is ever run as code. A parameter
-in which the text is linear is a coefficient; `A sin(w + φ)` is written as sine and cosine, so that its phase is
-linear, too.
+Numbers, names, `+ - * / **` and a few functions are allowed; the text is never run as code. A parameter in which the
+text is linear is a coefficient. `A sin(w + φ)` is rewritten as a sine and a cosine: then the phase is linear, too.
 
-Units follow from those of the channels. What is added, or compared by `min` and `max`, has one unit; what is in
-`sin`, `exp` and their like has none; the time constant of `lag` is in seconds; the whole is in the unit of the
-component. These equations are solved one unknown at a time; where all have several unknowns, as in `A*(x/p)**2`, the
-coefficient is taken to be in the component's unit. Numbers have no unit of their own: in a sum they take the other's,
-in a product none.
+Units follow from those of the channels. Terms of a sum, and arguments of `min` and `max`, have the same unit. The
+argument of `sin`, `exp` and the like has none. The time constant of `lag` is in seconds. The whole expression is in the
+unit of the component. These equations are solved one unknown at a time; where each has several unknowns, as in
+`A*(x/p)**2`, the coefficient is taken to be in the component's unit. A number has the unit of the other term in a sum,
+and none in a product.
 """
 
 import ast
@@ -43,7 +42,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Value]]] = {
 
 def _power(a: Value, b: Value) -> Value:
     out = a**b
-    if isinstance(out, complex):  # Python's own numbers do that where numpy gives nan
+    if isinstance(out, complex):  # a negative number to a fraction: Python gives a complex number, numpy nan
         raise ValueError(f"{a:g} ** {b:g} is no real number")
     return out
 
@@ -58,10 +57,10 @@ OPERATORS: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
 
 
 def names_in(expression: str) -> set[str]:
-    """Names that stand in an expression, functions left out.
+    """Names of channels and parameters in an expression; not those of functions.
 
     Raises:
-        ValueError: the text is no expression of the allowed kind.
+        ValueError: the text is not an allowed expression.
     """
     tree = parse(expression)
     calls = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
@@ -69,18 +68,18 @@ def names_in(expression: str) -> set[str]:
 
 
 def parse(expression: str) -> ast.expr:
-    """Give the tree of an expression of the allowed kind.
+    """Give the tree of an allowed expression.
 
     Raises:
-        ValueError: it is not.
+        ValueError: the expression is not allowed.
     """
     if len(expression) > MAX_LENGTH:
         raise ValueError(f"expression longer than {MAX_LENGTH} characters")
-    if not expression.isascii():  # Python takes look-alike letters for others; here a name is what it looks like
+    if not expression.isascii():  # Python replaces look-alike letters; here a name is what it looks like
         raise ValueError(f"{expression!r}: letters without accents, digits and signs only")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SyntaxWarning)  # odd literals are refused below, in words of our own
+            warnings.simplefilter("ignore", SyntaxWarning)  # odd literals are refused below, with our own message
             tree = ast.parse(expression.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as e:
         raise ValueError(f"{expression!r} is no expression: {getattr(e, 'msg', e)}") from e
@@ -89,7 +88,7 @@ def parse(expression: str) -> ast.expr:
 
 
 def _check(node: ast.expr, depth: int) -> None:
-    """Let through what is on the list, and nothing else."""
+    """Refuse every node that is not on the list of allowed ones."""
     if depth > MAX_DEPTH:
         raise ValueError(f"expression nested deeper than {MAX_DEPTH}")
     match node:
@@ -120,9 +119,9 @@ def _check_call(name: str, call: ast.Call) -> None:
         raise ValueError(f"function {name!r} is not allowed{nearest(name, [*FUNCTIONS, 'lag'])}")
     if call.keywords:
         raise ValueError(f"{name} takes arguments without names")
-    wanted = 2 if name == "lag" else FUNCTIONS[name][0]
-    if len(call.args) != wanted:
-        raise ValueError(f"{name} takes {wanted} argument{'s' if wanted > 1 else ''}, not {len(call.args)}")
+    count = 2 if name == "lag" else FUNCTIONS[name][0]
+    if len(call.args) != count:
+        raise ValueError(f"{name} takes {count} argument{'s' if count > 1 else ''}, not {len(call.args)}")
 
 
 def evaluate(node: ast.expr, names: Mapping[str, Value], channels: Channels) -> Value:
@@ -146,12 +145,12 @@ def evaluate(node: ast.expr, names: Mapping[str, Value], channels: Channels) -> 
 
 
 def degree(node: ast.expr, linear: set[str]) -> int:
-    """0 for a part without coefficients, 1 for one that is linear in them with nothing left over.
+    """0 for a part without coefficients, 1 for one that is linear in them without a constant term.
 
-    Read off the text, not tried out: a kink that no trial met would let a fit believe in a straight line.
+    The tree decides, not trial values: these could miss a kink, and a fit would then assume a straight line.
 
     Raises:
-        ValueError: neither.
+        ValueError: neither holds.
     """
     match node:
         case ast.Constant():
@@ -193,7 +192,7 @@ NOT_LINEAR = 2
 
 
 def power_of(node: ast.expr, name: str) -> int:
-    """0: the name is not there; 1: straight in the name, with or without a part that has it not; 2: neither."""
+    """0: the name is absent; 1: the expression is linear in it, with or without other terms; 2: it is not linear."""
     match node:
         case ast.Name(id=found):
             return int(found == name)
@@ -220,7 +219,7 @@ def _of_two(op: ast.operator, left: int, right: int) -> int:
 
 
 def is_phase(tree: ast.expr, name: str) -> bool:
-    """Whether a name stands only as something added to the angle of sines and cosines."""
+    """Whether a name occurs only as a term of the angle of sines and cosines."""
     return _count(tree, name) == sum(_split(angle, name) is not None for angle in _angles(tree))
 
 
@@ -236,7 +235,7 @@ def as_sine_and_cosine(
         taken: names that the two new coefficients must not have.
 
     Returns:
-        The new expression and its coefficients; None where A or φ stands more than once or A is no factor of it.
+        The new expression and its coefficients; None where A or φ occurs more than once or A is no factor of it.
     """
     if _count(tree, phase) != 1:
         return None
@@ -272,7 +271,7 @@ def _count(tree: ast.expr, name: str) -> int:
 
 
 def _split(angle: ast.expr, name: str) -> ast.expr | None:
-    """What is left of an angle without the phase added to it; None where it is not added, or nothing is left."""
+    """The angle without the phase that is added to it; None where the phase is not a term, or is the whole angle."""
     match angle:
         case ast.BinOp(left=left, op=ast.Add(), right=ast.Name(id=found)) if found == name:
             return None if _count(left, name) else left
@@ -286,10 +285,10 @@ def _split(angle: ast.expr, name: str) -> ast.expr | None:
     return None
 
 
-def _factor_of(tree: ast.expr, wanted: ast.AST) -> ast.expr | None:
-    """The largest product that a node is a factor of, through signs and divisions of the whole."""
+def _factor_of(tree: ast.expr, factor: ast.AST) -> ast.expr | None:
+    """The largest product that has a node as a factor; signs, and divisions of the product, are part of it."""
     parents = {child: node for node in ast.walk(tree) for child in ast.iter_child_nodes(node)}
-    node, found = wanted, None
+    node, product_of = factor, None
     while node in parents:
         above = parents[node]
         product = isinstance(above, ast.BinOp) and isinstance(above.op, ast.Mult)
@@ -297,8 +296,8 @@ def _factor_of(tree: ast.expr, wanted: ast.AST) -> ast.expr | None:
         if not (product or divided or isinstance(above, ast.UnaryOp)):
             break
         node = above
-        found = node
-    return found if isinstance(found, ast.expr) else None
+        product_of = node
+    return product_of if isinstance(product_of, ast.expr) else None
 
 
 def _pair(names: Sequence[str], angle: ast.expr) -> ast.expr:
@@ -368,14 +367,14 @@ def _fractions(powers: Mapping[str, int]) -> Dimension:
 
 
 class _Equations:
-    """Walks an expression once and notes which units must be equal."""
+    """Walks an expression once and notes which units are equal."""
 
     def __init__(self, names: Mapping[str, Dimension]) -> None:
         self.names = names
         self.noted: list[Dimension] = []
 
     def equal(self, left: Dimension | None, right: Dimension | None) -> None:
-        """Note that two units are one; a bare number (None) says nothing."""
+        """Note that two units are equal; a bare number (None) sets no condition."""
         if left is not None and right is not None:
             self.noted.append(_product(left, right, -1))
 
@@ -399,17 +398,17 @@ class _Equations:
         return None
 
     def solve(self, known: dict[str, Dimension]) -> None:
-        """Add the units that follow from those known; what contradicts itself is left out."""
-        found = True
-        while found:
-            found = False
+        """Add the units that follow from the known ones; equations that contradict each other add none."""
+        progress = True
+        while progress:
+            progress = False
             for equation in self.noted:
                 rest = _inserted(equation, known)
                 unknown = [key for key in rest if key.startswith("?")]
                 if len(unknown) == 1:
                     power = rest.pop(unknown[0])
                     known[unknown[0]] = {base: -p / power for base, p in rest.items()}
-                    found = True
+                    progress = True
 
     def _same(self, left: ast.expr, right: ast.expr) -> Dimension | None:
         one, other = self.of(left), self.of(right)

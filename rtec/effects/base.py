@@ -1,4 +1,4 @@
-"""What an effect is: arguments, parameters with units, basis functions of the state; and what readings must offer."""
+"""What an effect is: arguments, parameters with units, basis functions of the state; and what readings it needs."""
 
 import itertools
 from abc import ABC, abstractmethod
@@ -21,17 +21,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a set of measurements offers to an effect that looks for its arguments.
+    """What a set of measurements has for an effect that suggests instances of itself.
 
     Attributes:
         machine: the machine.
         component: the component error that the effect would feed.
-        axis: axis whose motion it is; None for a fixed link.
-        sensors: temperatures that were recorded and vary.
-        channels: every channel that was recorded and varies, by name, with its lowest and highest value.
+        axis: the axis that has this component error; None for a fixed link.
+        sensors: recorded temperatures that vary.
+        channels: lowest and highest value of every recorded channel that varies, by name.
         span_s: length of the longest measurement.
-        step_s: time between readings, typically.
-        places_mm: by position channel, where the readings were taken.
+        step_s: typical time between readings.
+        places_mm: positions of the readings, mm, by position channel.
     """
 
     machine: Machine
@@ -48,7 +48,7 @@ class Surroundings:
         """The component's own axis.
 
         Raises:
-            ModelError: it did not move, or the component is of a fixed link.
+            ModelError: the axis did not move, or the component is of a fixed link.
         """
         if self.axis is None:
             raise ModelError(f"{self.component}: no axis of it moved")
@@ -102,11 +102,11 @@ DRIVES: dict[str, Callable[[Surroundings], str]] = {
     "other axis": lambda a: "" if other_axes(a) else "no other axis was moved to three places or more",
     "pitch": lambda a: "" if a.axis is not None and a.axis.pitch_mm else "the machine file names no pitch_mm",
 }
-"""What an effect may need, and the reason in words where the readings do not have it."""
+"""What an effect may need; each gives the reason in words where the readings lack it, else an empty text."""
 
 
 def other_axes(around: Surroundings) -> list[Axis]:
-    """Axes beside the component's own that were moved."""
+    """Axes that moved, without the component's own."""
     own = around.axis.name if around.axis is not None else ""
     return [a for a in around.machine.axes if a.name != own and a.channel in around.channels]
 
@@ -134,8 +134,8 @@ class Parameter:
         unit: as in model files and JSON, for example `um_per_m_degc`.
         start: where a search begins (non-linear parameters).
         low, high: bounds of the search.
-        typical: a usual size, in its unit; with it the program judges what a measurement could have shown.
-        grid: values that a search tries first (non-linear parameters); none: even in the logarithm, low to high.
+        typical: usual size, in its unit; decides whether a measurement could have shown the effect.
+        grid: values that a search tries first (non-linear parameters); if empty, logarithmically even from low to high.
     """
 
     name: str
@@ -149,12 +149,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Confusion:
-    """What an effect may be taken for.
+    """Another cause with which an effect may be confounded.
 
     Attributes:
-        effect: name of the other in the registry, or in words what is no effect.
-        why: what they have in common.
-        separate_by: the experiment that tells them apart.
+        effect: its name in the registry; a description where it is no effect.
+        why: what the two have in common.
+        separate_by: the experiment that separates them.
     """
 
     effect: str
@@ -164,7 +164,7 @@ class Confusion:
 
 @dataclass(frozen=True)
 class About:
-    """What people are told about an effect.
+    """The description of an effect on its page.
 
     Attributes:
         title: in the field's words.
@@ -172,7 +172,7 @@ class About:
         typical: usual size.
         seen_by: instruments that show it, by their names in measurement files.
         source: where the equation comes from.
-        confusions: what looks alike, one by one, each with the experiment that separates.
+        confusions: causes with which it may be confounded, each with the experiment that separates them.
         reveal: the measurement that would show it, in words.
     """
 
@@ -190,14 +190,14 @@ class Effect(Strict, ABC):
 
     A subclass names its arguments as fields, its coefficients and non-linear parameters, and gives one basis
     function per coefficient in plain numpy arithmetic. The component error is `Σ coefficient · basis`, in µm for
-    translations and µrad for rotations. The same arithmetic is run on arrays and traced into the compiled kernel.
+    translations and µrad for rotations. The same arithmetic runs on arrays and is traced into the compiled kernel.
     """
 
     about: ClassVar[About]
     feeds: ClassVar[tuple[Kind, ...]] = ()
-    """Kinds of component errors for which a search suggests it."""
+    """Kinds of component errors for which a search suggests the effect."""
     driven_by: ClassVar[tuple[str, ...]] = ()
-    """What must have varied in the readings for it to show; words of `DRIVES`."""
+    """What must vary in the readings for the effect to show; keys of `DRIVES`."""
 
     effect: str
     component: str
@@ -207,7 +207,7 @@ class Effect(Strict, ABC):
         """Linear parameters, in the order of `basis`."""
 
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
-        """Parameters that the basis functions need; none unless the effect says so."""
+        """Non-linear parameters of the basis functions; none by default."""
         del machine
         return ()
 
@@ -227,9 +227,9 @@ class Effect(Strict, ABC):
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator["Effect"]:
-        """Instances worth trying for a component error; none where this effect does not feed such a component.
+        """Instances that a search tries for a component error; none where this effect does not feed such a component.
 
-        By default one for each combination of sensors that it takes, along the component's own axis.
+        By default one for each combination of its sensors, along the component's own axis.
         """
         if component_kind(around.component, around.machine) not in cls.feeds or cls.missing(around):
             return
@@ -254,7 +254,7 @@ class Effect(Strict, ABC):
 
     @classmethod
     def missing(cls, around: Surroundings) -> str:
-        """What was not moved or recorded, in words, so that the readings could not show it; empty where they could."""
+        """What did not move or was not recorded, in words, so that the effect could not show; empty where it could."""
         if component_kind(around.component, around.machine) not in cls.feeds:
             return ""
         return next((w for w in (DRIVES[d](around) for d in cls.driven_by) if w), "")
@@ -286,11 +286,11 @@ class AxisEffect(Effect):
     axis: str
 
     def the_axis(self, machine: Machine) -> Axis:
-        """Give the axis that it runs along."""
+        """The axis that `axis` names."""
         return machine.axis(self.axis)
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
-        """Read the axis' position."""
+        """The axis' position."""
         return (self.the_axis(machine).channel,)
 
     def check(self, machine: Machine, where: str) -> None:

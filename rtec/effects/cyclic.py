@@ -15,16 +15,16 @@ from rtec.machine import Machine
 
 MOST_HARMONICS = (1, 2, 4, 8, 16)
 PER_PERIOD = 4.0
-"""So many times the widest gap between phases of readings fit into a period of the finest harmonic that is tried."""
+"""A harmonic is tried only if its period is at least this many times the widest gap between phases of readings."""
 
 
 ROUNDING = 1e-6
 
 
 def widest_phase_gap(places_mm: NDArray[np.float64], pitch_mm: float | None) -> float:
-    """Widest part of a turn of a screw in which no reading was taken: 1 where all have one phase, or none is known.
+    """Widest part of a screw's turn without a reading, 0 … 1; 1 where all readings have one phase or no pitch is known.
 
-    However far apart readings are, they cover the turn where their phases differ.
+    Readings that are more than a turn apart still cover the turn if their phases differ.
     """
     if pitch_mm is None or not len(places_mm):
         return 1.0
@@ -84,7 +84,7 @@ class CyclicScrew(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """The first harmonic; and up to others, twice as many each, whose phases the readings cover."""
+        """The first harmonic; then sets of 2, 4, … harmonics, as far as the phases of the readings cover them."""
         axis = around.moved
         gap = widest_phase_gap(around.places_mm.get(axis.channel, np.zeros(0)), axis.pitch_mm)
         for most in MOST_HARMONICS:
@@ -119,7 +119,7 @@ class CyclicScrew(AxisEffect):
 
 
 class CouplingMisalignment(_Wave):
-    """Twice per revolution of the screw (universal joint, misaligned coupling)."""
+    """A wave with two periods per revolution of the screw (universal joint, misaligned coupling)."""
 
     about: ClassVar[About] = About(
         title="Misaligned coupling, twice per revolution",
@@ -181,7 +181,7 @@ class InterpolationError(_Wave):
 
 
 class CyclicPole(_Wave):
-    """A wave of another period than the screw's: teeth of a rack or gear, poles of a linear motor."""
+    """A wave whose period is not the screw's: teeth of a rack or gear, poles of a linear motor."""
 
     about: ClassVar[About] = About(
         title="Cyclic error of a gear, rack or linear motor",

@@ -1,7 +1,7 @@
-"""Derived channels: values with memory, the same recurrence for one instant and for many.
+"""Derived channels: values with memory, by one recurrence for one instant and for many.
 
-Each function takes its memory as arguments and gives it back, so that the loop, the replay and the batch forms
-are the same numbers.
+Each function takes its memory as arguments and returns it, so that the loop, the replay and the batch functions give
+the same numbers.
 """
 
 import math
@@ -12,29 +12,29 @@ from numpy.typing import NDArray
 from rtec.jit import njit
 
 FAR_MM = 1e9
-"""Distance since the last reversal while none has been seen: so far that what fades with it is gone; finite."""
+"""Distance since the last reversal, mm, before the first one: finite, but so long that every fading effect is zero."""
 
 
 @njit
 def lag_update(lagged: float, before: float, now: float, dt_s: float, tau_s: float) -> float:
-    """First-order lag `τ L' + L = u` over one interval, exact for an input that is straight between readings.
+    """First-order lag `τ L' + L = u` over one interval, exact for an input that is linear between readings.
 
     Args:
         lagged: L at the start of the interval.
         before: input u at its start.
         now: input u at its end.
-        dt_s: length of the interval; any, the discretisation is exact.
-        tau_s: time constant.
+        dt_s: length of the interval, s; of any size, as the discretisation is exact.
+        tau_s: time constant, s.
 
     Returns:
-        L at the end. Splitting the interval at a point of the straight line changes nothing.
+        L at the end. Splitting the interval at a point of the straight line does not change it.
     """
     if dt_s <= 0.0:
         return lagged
     if tau_s <= 0.0:
         return now
     h = dt_s / tau_s
-    if h == 0.0:  # an interval so short that the quotient is nothing
+    if h == 0.0:  # the quotient underflows in a very short interval
         return lagged
     decay = math.exp(-h)
     mean = -math.expm1(-h) / h
@@ -46,13 +46,13 @@ def direction_update(direction: float, extreme: float, position: float, dead_ban
     """Last non-zero direction of motion with a dead band.
 
     Args:
-        direction: -1, +1, or 0 while nothing has moved yet.
-        extreme: furthest position in that direction since the last reversal (while 0: where it started).
-        position: position now.
-        dead_band: motion back by at most this much is no reversal.
+        direction: -1, +1, or 0 before the first motion.
+        extreme: furthest position in that direction since the last reversal, mm; while direction is 0, the start.
+        position: current position, mm.
+        dead_band: motion back by at most this much is no reversal, mm.
 
     Returns:
-        direction and extreme now.
+        The new direction and extreme.
     """
     if direction > 0.0:
         if position >= extreme:
@@ -73,15 +73,15 @@ def direction_update(direction: float, extreme: float, position: float, dead_ban
 def reversal_update(
     direction: float, extreme: float, turn: float, position: float, dead_band: float
 ) -> tuple[float, float, float]:
-    """`direction_update` that also remembers where the axis turned round last.
+    """`direction_update` that also remembers the position of the last reversal.
 
     Args:
         direction, extreme, position, dead_band: as there.
-        turn: position of the last reversal; infinity while none has been seen. The first motion is none: how far
-            the axis had come before is not known.
+        turn: position of the last reversal, mm; infinity before the first one. The first motion is not a reversal: how
+            far the axis had travelled before it is unknown.
 
     Returns:
-        direction, extreme and turn now.
+        The new direction, extreme and turn.
     """
     now, furthest = direction_update(direction, extreme, position, dead_band)
     if now * direction < 0.0:
@@ -91,7 +91,7 @@ def reversal_update(
 
 @njit
 def since_reversal(extreme: float, turn: float) -> float:
-    """Distance travelled since the last reversal, mm; FAR_MM while none has been seen."""
+    """Distance travelled since the last reversal, mm; FAR_MM before the first one."""
     return min(abs(extreme - turn), FAR_MM)
 
 
@@ -113,8 +113,8 @@ def motion_update(velocity: float, acceleration: float, moved: float, dt_s: floa
     Args:
         velocity, acceleration: v mm/s and a mm/s² at the start of the interval.
         moved: change of position within it, mm.
-        dt_s: its length, by the time stamps of the counts, s. Zero or less (a stamp that came again): nothing
-            changes; the caller keeps position and stamp of the start, so that no motion is lost.
+        dt_s: its length, by the time stamps of the counts, s. Zero or less (a repeated stamp) changes nothing; the
+            caller then keeps position and stamp of the start, so that no motion is lost.
         tau_s: time constant, s.
 
     Returns:
@@ -130,7 +130,7 @@ def motion_update(velocity: float, acceleration: float, moved: float, dt_s: floa
 
 @njit
 def lag_track(value: NDArray[np.float64], time_s: NDArray[np.float64], tau_s: float) -> NDArray[np.float64]:
-    """First-order lag of n values at n instants, (n,); settled at the first."""
+    """First-order lag of n values at n instants, (n,); settled at the first instant."""
     out = np.empty(len(value))
     for i in range(len(value)):
         if i == 0:
@@ -168,10 +168,10 @@ def since_reversal_track(position: NDArray[np.float64], dead_band: float) -> NDA
 
 @njit
 def since_turn_track(position: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance since the last reversal where the directions were recorded with n positions, mm, (n,).
+    """Distance since the last reversal at each of n positions with their recorded directions, mm, (n,).
 
-    The axis turned round between two readings; it is taken to have done so at the further of the two, so the
-    distance is the shortest that the readings allow. A direction of 0 is no reversal.
+    The axis reversed between two readings; the further of the two is taken as the turning point, so that the distance
+    is the shortest that the readings allow. A direction of 0 is no reversal.
     """
     out = np.empty(len(position))
     sense, extreme, turn = 0.0, 0.0, math.inf

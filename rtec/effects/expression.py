@@ -1,8 +1,8 @@
-"""An effect of the user's own, written as an expression over channels (arithmetic.py says what is let through).
+"""An effect of the user's own, written as an expression over channels (`arithmetic` lists what is allowed).
 
 On the command line: `--expr "A*sin(2*pi*y/p + phi)" --param p=37:3..200`. Names that are neither channels nor
 declared are fitted: those in which the expression is linear as coefficients. An amplitude with a phase, `A*sin(w +
-phi)`, becomes `A_sin*sin(w) + A_cos*cos(w)`, which is linear and finds its phase wherever it is: `A = hypot(A_sin,
+phi)`, becomes `A_sin*sin(w) + A_cos*cos(w)`. That is linear, so that the phase needs no search: `A = hypot(A_sin,
 A_cos)`, `phi = atan2(A_cos, A_sin)` (for a cosine, `phi = atan2(-A_sin, A_cos)`).
 """
 
@@ -99,30 +99,30 @@ class Expression(Effect):
             self.basis(machine, _Probe(machine), {name: free.start for name, free in self.free.items()})
 
     def _check_linear(self, where: str) -> None:
-        said = ", ".join(self.linear)
+        names = ", ".join(self.linear)
         try:
-            found = degree(parse(self.expression), set(self.linear))
+            total = degree(parse(self.expression), set(self.linear))
         except ValueError as e:
-            raise ModelError(f"{where}: not linear in {said}: {e}; declare what is not linear under `free`") from e
-        if found != 1:
-            raise ModelError(f"{where}: with all of {said} zero the expression is not zero")
+            raise ModelError(f"{where}: not linear in {names}: {e}; declare what is not linear under `free`") from e
+        if total != 1:
+            raise ModelError(f"{where}: with all of {names} zero the expression is not zero")
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
-        """Give the names and units under `linear`."""
+        """One for each name under `linear`."""
         del machine
         return tuple(Parameter(name, unit) for name, unit in self.linear.items())
 
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
-        """Give the parameters under `free`."""
+        """One for each name under `free`."""
         del machine
         return tuple(Parameter(n, f.unit, f.start, f.low, f.high) for n, f in self.free.items())
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
-        """Read every channel that the expression names."""
+        """Every channel that the expression names."""
         return tuple(sorted(names_in(self.expression) & set(machine.channel_names)))
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """Give the expression with one coefficient at one and the others at zero, in turn."""
+        """The expression with one coefficient at one and the others at zero, for each coefficient in turn."""
         return [
             self._evaluate(machine, channels, theta, {n: float(n == name) for n in self.linear}) for name in self.linear
         ]
@@ -161,7 +161,7 @@ NUMBER = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][-+]?\d+)?"
 PARAM = re.compile(rf"\s*([A-Za-z_]\w*)\s*=\s*({NUMBER})\s*:\s*({NUMBER})\s*\.\.\s*({NUMBER})\s*", re.ASCII)
 PARAM_FORM = "name=start:low..high, for example p=37:3..200"
 PHASE = {"start": 0.5, "low": -math.pi, "high": math.pi}
-"""Bounds of a phase; it does not start at 0, where a quarter turn away all slopes vanish."""
+"""Start and bounds of a phase. It does not start at 0, because all slopes vanish a quarter turn away from there."""
 
 
 def expression_from_text(expr: str, params: Sequence[str], component: str, machine: Machine) -> Expression:
@@ -174,10 +174,10 @@ def expression_from_text(expr: str, params: Sequence[str], component: str, machi
         machine: whose channels it may read.
 
     Returns:
-        The effect, checked against the machine; units of its parameters are worked out from the channels.
+        The effect, checked against the machine; the units of its parameters follow from the channels.
 
     Raises:
-        ModelError: what is wrong with which of the texts, and what to write instead.
+        ModelError: one of the texts is wrong; the message names it and what to write instead.
     """
     tree = _tree(expr)
     names = names_in(expr)
@@ -190,7 +190,7 @@ def expression_from_text(expr: str, params: Sequence[str], component: str, machi
     fitted = sorted(names - set(free) - set(CONSTANTS) - set(machine.channel_names), key=expr.index)
     for name in fitted:
         _refuse_look_alike(name, machine)
-    tree, linear, phases = _sorted_out(tree, fitted, machine)
+    tree, linear, phases = _linearised(tree, fitted, machine)
     free |= {name: dict(PHASE) for name in phases}
     if not linear:
         raise ModelError(f"--expr {expr!r} has no coefficient to fit; multiply it by a name of your own: A*({expr})")
@@ -220,7 +220,7 @@ def _declared(text: str, names: set[str], machine: Machine) -> tuple[str, dict[s
 
 
 def _refuse_look_alike(name: str, machine: Machine) -> None:
-    """Refuse a name that somebody probably meant as a channel or function: a slip must not become a parameter."""
+    """Refuse a name that is probably a misspelt channel or function: a slip must not become a parameter."""
     if name in FUNCTIONS or name == "lag":
         raise ModelError(f"--expr: {name} is a function; write {name}(…)")
     close = difflib.get_close_matches(name, machine.channel_names, n=1, cutoff=0.8)
@@ -232,8 +232,8 @@ def _refuse_look_alike(name: str, machine: Machine) -> None:
         )
 
 
-def _sorted_out(tree: ast.expr, fitted: Sequence[str], machine: Machine) -> tuple[ast.expr, list[str], list[str]]:
-    """The expression (with sines and cosines for phases), its coefficients, and its phases that are left."""
+def _linearised(tree: ast.expr, fitted: Sequence[str], machine: Machine) -> tuple[ast.expr, list[str], list[str]]:
+    """The expression with sines and cosines for phases, its coefficients, and the phases that stay non-linear."""
     linear = [name for name in fitted if power_of(tree, name) <= 1]
     phases = [name for name in fitted if name not in linear]
     for name in phases:
@@ -243,37 +243,37 @@ def _sorted_out(tree: ast.expr, fitted: Sequence[str], machine: Machine) -> tupl
                 f"--expr: {name!r} is no channel of machine {machine.name!r}, and the expression is not linear in it; "
                 f"if it is a parameter, declare --param {name}=start:low..high"
             )
-    left = []
+    nonlinear = []
     for phase in phases:
         rewritten = as_sine_and_cosine(tree, linear, phase, {*fitted, *machine.channel_names})
         if rewritten is None:
-            left.append(phase)
+            nonlinear.append(phase)
         else:
             tree, linear = rewritten
-    return tree, linear, left
+    return tree, linear, nonlinear
 
 
 def _refuse_capital(name: str, machine: Machine) -> None:
-    """Refuse a name that is a channel but for small and capital letters, where the expression is not linear in it."""
+    """Refuse a name that differs from a channel only by capitals, where the expression is not linear in it."""
     channel = next((c for c in machine.channel_names if c.lower() == name.lower() and c != name), None)
     if channel is not None:
         raise ModelError(f"--expr: machine {machine.name!r} has no channel {name!r}; did you mean {channel!r}?")
 
 
 def _check_linear(tree: ast.expr, linear: Sequence[str], expr: str, machine: Machine) -> None:
-    """Refuse what is linear in each coefficient alone, but not in all together."""
+    """Refuse an expression that is linear in each coefficient alone, but not in all together."""
     try:
         degree(tree, set(linear))
     except ValueError as e:
         for name in linear:
             _refuse_capital(name, machine)
-        said = ", ".join(linear)
+        names = ", ".join(linear)
         way = (
             "multiply every part by a name of your own"
             if "added" in str(e)
-            else f"declare all but one of {said}: --param NAME=start:low..high"
+            else f"declare all but one of {names}: --param NAME=start:low..high"
         )
-        raise ModelError(f"--expr {expr!r} is not linear in {said}: {e}; {way}") from e
+        raise ModelError(f"--expr {expr!r} is not linear in {names}: {e}; {way}") from e
 
 
 def _effect(

@@ -131,13 +131,13 @@ class PolynomialPosition(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Degrees 2 to 5: a straight line is `scale`; and the bow alone, which is all that most machines have."""
+        """Degrees 2 to 5, as a straight line is `scale`; and degree 2 alone, which is enough for most machines."""
         for degrees in ((2,), (2, 3), (2, 3, 4, 5)):
             yield {"axis": around.moved.name, "degrees": degrees}
 
 
 class PiecewisePosition(AxisEffect):
-    """Piecewise linear in position: the error at each knot, straight between, constant beyond the ends."""
+    """Piecewise linear in position: the error at each knot, linear between knots, constant beyond the ends."""
 
     about: ClassVar[About] = About(
         title="Piecewise linear in position",
@@ -160,7 +160,7 @@ class PiecewisePosition(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Seven and eleven knots over what was visited."""
+        """Seven and eleven knots over the visited range."""
         low, high = around.channels[around.moved.channel]
         for knots in (7, 11):
             step = (high - low) / (knots - 1)
@@ -179,10 +179,10 @@ class PiecewisePosition(AxisEffect):
         return tuple(Parameter(f"at{i}", self.unit, typical=5.0) for i in range(len(self.knots_mm)))
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """One hat per knot; they sum to one everywhere."""
+        """One hat function per knot; they sum to one everywhere."""
         del theta
         q = channels.value(self.the_axis(machine).channel)
-        # How far along each segment, 0 … 1; the hat of a knot is what has come minus what has gone on.
+        # Share of each segment that lies behind, 0 … 1; a knot's hat is that of the segment before it minus the next's.
         steps = [
             np.minimum(np.maximum((q - a) * (1.0 / (b - a)), 0.0), 1.0)
             for a, b in zip(self.knots_mm, self.knots_mm[1:], strict=False)
@@ -192,7 +192,7 @@ class PiecewisePosition(AxisEffect):
 
 
 class Squareness(Effect):
-    """Squareness of an axis to another: a constant angle of its line of travel."""
+    """Squareness of an axis to another axis: a constant angle of its line of travel."""
 
     about: ClassVar[About] = About(
         title="Squareness of an axis to another",
@@ -217,7 +217,7 @@ class Squareness(Effect):
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator[Effect]:
-        """For angles of the lines of X and Y; that of Z, which runs along the spindle, is its parallelism."""
+        """For angles of the lines of X and Y; the angle of Z, which runs along the spindle, is its parallelism."""
         axis = around.machine.axis(around.component[3:]) if around.component[3:] in around.machine.axis_names else None
         if axis is not None and (axis.direction == "Z") is cls._along_spindle:
             yield from super().suggest(around)
@@ -266,7 +266,7 @@ class Parallelism(Squareness):
 
 
 class Straightness(AxisEffect):
-    """Straightness of a line of travel, its slope taken out: `e = Σ c_i P_i(u)`, degrees 2 and 3 if none are given."""
+    """Straightness of a line of travel, without its slope: `e = Σ c_i P_i(u)`, degrees 2 and 3 if none are given."""
 
     about: ClassVar[About] = About(
         title="Straightness of a line of travel",
@@ -297,7 +297,7 @@ class Straightness(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """The usual degrees, and lean forms of them."""
+        """The default degrees, and subsets of them."""
         for degrees in cls.forms:
             yield {"axis": around.moved.name, "degrees": degrees}
 
@@ -313,7 +313,7 @@ class Straightness(AxisEffect):
 
 
 class AngularMotion(Straightness):
-    """Angular error motion: `E = Σ c_i P_i(u)`, degrees 2 and 3 if none are given; the arm to the tip by the chain."""
+    """Angular error motion: `E = Σ c_i P_i(u)`, degrees 2 and 3 if none are given; the chain has the lever arm."""
 
     about: ClassVar[About] = About(
         title="Angular error motion (Abbe error with its arm)",

@@ -27,10 +27,10 @@ from rtec.machine import Machine
 from rtec.tomlfile import nearest
 
 CROSS = ((1, 2), (2, 2))
-"""Degrees of the products, along the axis and in the other, of a displacement: what is straight in the other axis is
-an angle times its arm, as any rigid body has."""
+"""Degrees of a displacement along the axis and in the other axis. A term that is linear in the other axis is missing:
+it is an angle times its arm, which every rigid body has."""
 CROSS_ANGLE = ((1, 1), (2, 1), (1, 2), (2, 2))
-"""Of an angle: no rigid body's changes with another axis at all."""
+"""Degrees of an angle: no angle of a rigid body changes with another axis."""
 RAMS = ("w", "ram", "quill")
 _Power = Annotated[int, Field(ge=1, le=2)]
 
@@ -56,7 +56,7 @@ class RamSag(AxisEffect):
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator[Effect]:
-        """For axes that are rams by their name, or that move along Z, as spindle heads and rams do."""
+        """For axes that are named as rams, or that move along Z, as spindle heads and rams do."""
         axis = around.axis
         if axis is not None and (axis.name.lower() in RAMS or axis.direction == "Z"):
             yield from super().suggest(around)
@@ -76,7 +76,7 @@ class RamSag(AxisEffect):
 
 
 class CrossTalk(AxisEffect):
-    """A component that changes with another axis, as no rigid body's does: `e = Σ c_ij P_i(u) P_j(w)`."""
+    """A component that changes with another axis, unlike a rigid body's: `e = Σ c_ij P_i(u) P_j(w)`."""
 
     about: ClassVar[About] = About(
         title="Cross-talk: a component that changes with another axis",
@@ -95,13 +95,13 @@ class CrossTalk(AxisEffect):
     effect: Literal["cross_talk"] = "cross_talk"
     other: str
     terms: tuple[tuple[_Power, _Power], ...] = ()
-    """Degrees along the axis and in the other; none: all that the equation has."""
+    """Degrees along the axis and in the other axis; if empty, all that the equation has."""
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every other axis that was moved; all terms, and each by itself but the one that is straight in both axes.
+        """Every other axis that moved: all terms, and each term alone except the one that is linear in both axes.
 
-        That one alone is an angle of the other axis times its arm.
+        That term alone is an angle of the other axis times its arm.
         """
         angle = component_kind(around.component, around.machine) in ("tilt", "roll")
         for axis in other_axes(around):
@@ -120,7 +120,7 @@ class CrossTalk(AxisEffect):
             raise ModelError(f"{where}: the other axis is the axis itself")
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`c12`, `c22` ….."""
+        """`c12`, `c22` …."""
         del machine
         return tuple(Parameter(f"c{i}{j}", self.unit, typical=3.0) for i, j in self._degrees)
 
@@ -176,7 +176,7 @@ class LoadDeformation(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """All terms; a shift, a slope or a bow alone; a shift with a bow."""
+        """All terms; shift, slope or bow alone; shift and bow."""
         for terms in (("a", "b", "c"), ("a",), ("b",), ("c",), ("a", "c")):
             yield {"axis": around.moved.name, "terms": terms}
 

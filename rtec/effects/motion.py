@@ -18,13 +18,13 @@ REFERENCE_MM_S = 100.0
 SETTLES = Parameter("T", "s", 0.05, 0.002, 2.0, 0.05, (0.01, 0.03, 0.1, 0.3))
 STILL_MM_S = 1e-6
 SWITCH_S_PER_MM = 1e6
-"""Steep enough that no axis is half a master: it goes over within a nanometre per millisecond."""
+"""Steepness of the change-over: it is complete at a difference in speed of 1 nm/s."""
 
 
 class ServoLag(AxisEffect):
-    """Following error: `e = τ v`; |τ| = 1/K_v less what feed-forward takes away, negative where the slide lags.
+    """Following error: `e = τ v`; |τ| = 1/K_v minus the share of feed-forward, negative where the slide lags.
 
-    With `builds_up` the slide stood still where it turned round, and lags from there on as a first-order loop does:
+    With `builds_up` the slide starts from rest at the reversal, and its lag builds up as that of a first-order loop:
     `e = τ v (1 - exp(-t/T))`, `t = s/|v|` the time since the reversal.
     """
 
@@ -64,13 +64,13 @@ class ServoLag(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Settled everywhere, and building up after each reversal."""
+        """With a settled lag, and with one that builds up after each reversal."""
         yield {"axis": around.moved.name}
         if around.moved.since_reversal_channel in around.channels:
             yield {"axis": around.moved.name, "builds_up": True}
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """`v`, times what the lag has reached of its final value."""
+        """`v` times the share of its final value that the lag has reached."""
         axis = self.the_axis(machine)
         v = channels.value(axis.velocity_channel)
         if not self.builds_up:
@@ -80,10 +80,10 @@ class ServoLag(AxisEffect):
 
 
 class ServoPhase(ServoLag):
-    """Phase mismatch of two axes on a circle: one lags half of it, the other leads half of it.
+    """Phase mismatch of two axes on a circle: one lags by half of it, the other leads by half of it.
 
-    In the axis that lags it is `½ τ v`, so a pair of these with opposite signs draws `sin 2ζ` in a ball bar, turned
-    over with the sense of rotation. One axis alone cannot tell it from servo lag.
+    In the axis that lags it is `½ τ v`. A pair with opposite signs gives `sin 2ζ` in a ball bar, with a sign that
+    changes with the sense of rotation. In one axis alone it cannot be distinguished from servo lag.
     """
 
     about: ClassVar[About] = About(
@@ -103,7 +103,7 @@ class ServoPhase(ServoLag):
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator[Effect]:
-        """Never by itself: in one axis it is servo lag, which is suggested; a ball bar's diagnosis fits the pair."""
+        """None: in one axis alone it is servo lag; the diagnosis of a ball bar fits the pair."""
         del around
         return iter(())
 
@@ -114,9 +114,9 @@ class ServoPhase(ServoLag):
 
 
 class ChangeOver(ServoLag):
-    """Master-slave change-over: the slower axis follows the faster one and comes late, `e = τ v` while it is slower.
+    """Master-slave change-over: the slower axis follows the faster one with a delay, `e = τ v` while it is slower.
 
-    On a circle the axes change places at 45°, 135° …; there the path steps from one side to the other.
+    On a circle the axes change roles at 45°, 135° …; there the path steps from one side to the other.
     """
 
     about: ClassVar[About] = About(
@@ -136,12 +136,12 @@ class ChangeOver(ServoLag):
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator[Effect]:
-        """Never by itself: both axes have it; a ball bar's diagnosis fits the pair."""
+        """None: both axes have it; the diagnosis of a ball bar fits the pair."""
         del around
         return iter(())
 
     def check(self, machine: Machine, where: str) -> None:
-        """Check that the other axis is another one of this machine."""
+        """Check that the other axis belongs to this machine and is not this one."""
         super().check(machine, where)
         if self.other not in machine.axis_names:
             hint = nearest(self.other, machine.axis_names)
@@ -154,7 +154,7 @@ class ChangeOver(ServoLag):
         return (*super().channels(machine), machine.axis(self.other).velocity_channel)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """`v` where this axis is the slower one."""
+        """`v` where this axis is the slower one, else zero."""
         own, other = (
             channels.value(self.the_axis(machine).velocity_channel),
             channels.value(machine.axis(self.other).velocity_channel),
@@ -165,7 +165,7 @@ class ChangeOver(ServoLag):
 
 
 class GuideLift(AxisEffect):
-    """A slide that floats up with speed on its oil film: `e = A (|v| / 100 mm/s)^q`."""
+    """The oil film lifts a slide with speed: `e = A (|v| / 100 mm/s)^q`."""
 
     about: ClassVar[About] = About(
         title="Hydrodynamic lift of a guide",
@@ -204,7 +204,7 @@ class GuideLift(AxisEffect):
 
 
 class Inertia(AxisEffect):
-    """A part bends under its own inertia: `e = k a`, k negative for a mass left behind."""
+    """A part bends under its own inertia: `e = k a`, k negative for a mass that lags behind."""
 
     about: ClassVar[About] = About(
         title="Deflection by acceleration",

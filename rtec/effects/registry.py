@@ -1,8 +1,8 @@
-"""The registry: every effect by name, literally; and those of installed plug-ins.
+"""The registry: a table of every effect by name, and the effects of installed plug-ins.
 
-Plug-ins come by the entry point `rtec.effects`: name of the effect -> its class. They are loaded when the first name
-that is not built in is asked for. A plug-in that cannot be loaded takes nothing else with it: what is wrong is kept
-as text, shown by `rtec effects`, and shown again where its effect is asked for.
+Plug-ins use the entry point `rtec.effects`: name of the effect -> its class. They are loaded at the first look-up of a
+name that is not built in. A plug-in that cannot be loaded affects no other: its fault is kept as text, shown by
+`rtec effects`, and shown again where its effect is looked up.
 """
 
 import functools
@@ -59,11 +59,11 @@ GROUP = "rtec.effects"
 
 @dataclass(frozen=True)
 class PlugIns:
-    """What other packages bring.
+    """Effects of other packages.
 
     Attributes:
         effects: class by name.
-        faults: what is wrong, by name of the effect, in words.
+        faults: why an effect cannot be used, in words, by its name.
     """
 
     effects: Mapping[str, type[Effect]]
@@ -71,35 +71,35 @@ class PlugIns:
 
 
 def plug_ins(taken: tuple[str, ...]) -> PlugIns:
-    """Give the effects of other packages.
+    """The effects of other packages.
 
     Args:
-        taken: names that a plug-in cannot have.
+        taken: names that a plug-in must not have.
     """
-    return _found(tuple(sys.path), taken)
+    return _loaded(tuple(sys.path), taken)
 
 
 @functools.lru_cache(maxsize=4)
-def _found(path: tuple[str, ...], taken: tuple[str, ...]) -> PlugIns:
-    del path  # a key: another path may hold other packages
+def _loaded(path: tuple[str, ...], taken: tuple[str, ...]) -> PlugIns:
+    del path  # key of the cache: another path may have other packages
     effects: dict[str, type[Effect]] = {}
     faults: dict[str, str] = {}
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, _package(e))):
         if entry.name in taken:
-            faults[entry.name] = f"{_told(entry)}: {entry.name!r} is a name of rtec's own; a plug-in needs another"
+            faults[entry.name] = f"{_origin(entry)}: {entry.name!r} is a name of rtec's own; a plug-in needs another"
         elif entry.name in effects:
-            faults[entry.name] = f"{_told(entry)}: another package has an effect {entry.name!r}; its own is used"
+            faults[entry.name] = f"{_origin(entry)}: another package has an effect {entry.name!r}; its own is used"
         else:
             loaded = _load(entry)
             if isinstance(loaded, str):
-                faults[entry.name] = f"{_told(entry)}: {loaded}"
+                faults[entry.name] = f"{_origin(entry)}: {loaded}"
             else:
                 effects[entry.name] = loaded
     return PlugIns(effects, faults)
 
 
 def _load(entry: EntryPoint) -> type[Effect] | str:
-    """The class, or what is wrong with it."""
+    """The class, or why it cannot be used."""
     try:
         kind = entry.load()
     except Exception as e:  # noqa: BLE001 - somebody else's module may fail in any way, and only its effect is lost
@@ -124,7 +124,7 @@ def _package(entry: EntryPoint) -> str:
     return entry.dist.name if entry.dist is not None else ""
 
 
-def _told(entry: EntryPoint) -> str:
+def _origin(entry: EntryPoint) -> str:
     return f"package {_package(entry) or '?'}, entry point {GROUP}: {entry.name} = {entry.value}"
 
 
@@ -195,20 +195,20 @@ FAMILIES: dict[str, tuple[str, ...]] = {
     "time": ("daily_drift", "wear_drift", "missed_counts"),
     "your own": ("expression",),
 }  # fmt: skip
-"""The same names in the order in which people look for them."""
+"""The same names, in the order of the catalogue."""
 
 TAKEN = (*EFFECTS, *NOT_EFFECTS)
-"""Names that a plug-in cannot have."""
+"""Names that a plug-in must not have."""
 
 
 def all_effects() -> dict[str, type[Effect]]:
-    """Every effect by name: the built-in ones, then those of plug-ins that could be loaded and have not failed."""
+    """Every effect by name: the built-in ones, then those of plug-ins without a fault."""
     added = plug_ins(TAKEN).effects
     return {**EFFECTS, **{name: kind for name, kind in added.items() if kind not in SKIPPED}}
 
 
 def plug_in_faults() -> dict[str, str]:
-    """What is wrong with plug-ins that could not be loaded or have failed, in words, by name of the effect."""
+    """Faults of plug-ins that could not be loaded or have failed, in words, by name of the effect."""
     found = plug_ins(TAKEN)
     return {**found.faults, **{name: SKIPPED[kind] for name, kind in found.effects.items() if kind in SKIPPED}}
 
@@ -217,11 +217,10 @@ def effect_class(name: str, where: str) -> type[Effect]:
     """Give the class of an effect.
 
     Raises:
-        ModelError: there is none of that name, and the message has the nearest; it is no effect but what an
-            instrument or its readings do; or it is a plug-in's that could not be loaded or has failed, and the message
-            says why.
+        ModelError: no effect has that name, and the message suggests the nearest; it is an artefact of an instrument
+            or its readings, not an effect; or its plug-in could not be loaded or has failed, and the message says why.
     """
-    if name in EFFECTS:  # plug-ins are not looked for where none is needed
+    if name in EFFECTS:  # spares the import of plug-ins
         return EFFECTS[name]
     if name in NOT_EFFECTS:
         raise ModelError(

@@ -1,4 +1,4 @@
-"""Effects of the direction of motion (catalogue A2): play, tipping, and what fades after a reversal.
+"""Effects of the direction of motion (catalogue A2): play, tipping, and errors that fade after a reversal.
 
 Symbols: `d` last non-zero direction of motion, -1 or +1, 0 before the first motion; `u` position scaled to -1 … +1.
 """
@@ -109,27 +109,27 @@ class BacklashPosition(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Straight, bent, and following a worn zone along the axis."""
+        """Degrees for a linear change, a bent one, and a worn zone along the axis."""
         for degree in (1, 2, 4):
             yield {"axis": around.moved.name, "degree": degree}
 
 
 class Reversal(AxisEffect):
-    """An effect that turns over with the direction: `e = ½ k d · g`, g from `grows`."""
+    """An effect whose sign changes with the direction: `e = ½ k d · g`, g from `grows`."""
 
     feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
-        """Read the direction, and what it grows with."""
+        """The direction, and the channels of the factor."""
         return (self.the_axis(machine).direction_channel, *self.more_channels(machine))
 
     def more_channels(self, machine: Machine) -> tuple[str, ...]:
-        """Channels that it grows with."""
+        """Channels of the factor, without the direction."""
         del machine
         return ()
 
     def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
-        """What multiplies half the direction."""
+        """The factor g of half the direction."""
         del machine, channels, theta
         return 1.0
 
@@ -249,7 +249,7 @@ class BacklashTemperature(Reversal):
 
 
 class AngularReversal(Reversal):
-    """An angle that turns over with the direction: `E = ½ θ d`."""
+    """An angle whose sign changes with the direction: `E = ½ θ d`."""
 
     about: ClassVar[About] = About(
         title="Angular reversal (the slide tips over when it turns round)",
@@ -277,7 +277,7 @@ TRAVELS_MM = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
 class LostMotion(Reversal):
-    """Pre-sliding lost motion (Dahl): a reversal error that fades on the way, `e = ½ A d exp(-s/s0)`."""
+    """Pre-sliding lost motion (Dahl): a reversal error that fades with distance, `e = ½ A d exp(-s/s0)`."""
 
     about: ClassVar[About] = About(
         title="Lost motion after a reversal, fading on the way",
@@ -309,7 +309,7 @@ class LostMotion(Reversal):
         return (self.the_axis(machine).since_reversal_channel,)
 
     def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
-        """What is left of it."""
+        """`exp(-s/s0)`."""
         s = channels.value(self.the_axis(machine).since_reversal_channel)
         return np.exp(-(s / theta["s0"]))
 
@@ -375,6 +375,6 @@ class Stribeck(Reversal):
         return (self.the_axis(machine).velocity_channel,)
 
     def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
-        """What is left at this speed."""
+        """`exp(-|v|/v_s)`."""
         speed = np.abs(channels.value(self.the_axis(machine).velocity_channel))
         return np.exp(-(speed / theta["v_s"]))

@@ -17,7 +17,7 @@ from rtec.machine import Machine
 
 
 class SpindleGrowth(Effect):
-    """Spindle growth: with a sensor `e = k ΔT` (lagged if asked), without one `e = k L[(n/1000)^p]`."""
+    """Spindle growth: with a sensor `e = k ΔT` (lagged with `lag`), without one `e = k L[(n/1000)^p]`."""
 
     about: ClassVar[About] = About(
         title="Spindle growth",
@@ -65,7 +65,7 @@ class SpindleGrowth(Effect):
 
     @classmethod
     def missing(cls, around: Surroundings) -> str:
-        """Needs either the speed or a temperature; across the spindle the speed."""
+        """Needs the speed or a temperature; across the spindle the speed."""
         fed = component_kind(around.component, around.machine) in cls.feeds
         if not fed or "spindle_rpm" in around.channels or (around.sensors and cls._by_sensor(around)):
             return ""
@@ -77,12 +77,12 @@ class SpindleGrowth(Effect):
 
     @classmethod
     def _by_sensor(cls, around: Surroundings) -> bool:
-        """Whether a temperature of the spindle's is its growth: along its axis, and for angles."""
+        """Whether a spindle temperature may drive this component: along the spindle's axis, and for angles."""
         return around.component[1] == "Z" or cls.feeds != ("link",)
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """From the speed, and from the spindle's own sensors (all where none is named so)."""
+        """From the speed, and from the sensors named after the spindle (from all where there is none)."""
         if "spindle_rpm" in around.channels:
             yield {}
         own = named(around.sensors, "spindle") if cls._by_sensor(around) else []
@@ -96,7 +96,7 @@ class SpindleGrowth(Effect):
         return (self.sensor,) if self.sensor is not None else ("spindle_rpm",)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """`ΔT`, its lag, or the lag of the heat that the speed makes."""
+        """`ΔT`, its lag, or the lag of `(n/1000)^p`."""
         del machine
         if self.sensor is None:
             heat = (np.abs(channels.value("spindle_rpm")) * 1e-3) ** theta["p"]
@@ -106,7 +106,7 @@ class SpindleGrowth(Effect):
 
 
 class SpindleTilt(SpindleGrowth):
-    """Spindle or head tilts with its temperature: as spindle growth, for an angle."""
+    """Tilt of the spindle or head with its temperature: as spindle growth, for an angle."""
 
     about: ClassVar[About] = About(
         title="Spindle or head tilt",
@@ -127,7 +127,7 @@ class SpindleTilt(SpindleGrowth):
 
 
 class SpindleSpeedShift(Effect):
-    """What comes at once with the speed: centrifugal growth, preload of the bearings; `e = c (n/1000)²`."""
+    """Immediate shift with the speed (centrifugal growth, preload of the bearings): `e = c (n/1000)²`."""
 
     about: ClassVar[About] = About(
         title="Shift at once with the spindle speed",

@@ -1,4 +1,4 @@
-"""The state: every channel at n instants, and what effects may ask of it."""
+"""The state: every channel at n instants, and how effects read it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,7 @@ Value = Any
 
 
 class Channels(Protocol):
-    """What an effect sees: values by name, plain arithmetic and numpy functions work on them."""
+    """Values by channel name, as an effect reads them; plain arithmetic and numpy functions work on them."""
 
     def value(self, name: str) -> Value:
         """Give a channel as it is, by its name.
@@ -34,7 +34,7 @@ class Channels(Protocol):
         ...
 
     def lagged(self, value: Value, tau_s: Value) -> Value:
-        """First-order lag of a value that changes slowly; starts settled."""
+        """First-order lag of a slow value; starts settled."""
         ...
 
 
@@ -43,14 +43,14 @@ class State:
     """Channels at n instants, for numpy.
 
     Attributes:
-        machine: tells axes and sensors apart, and the dead band of directions.
+        machine: has the axes, the sensors and the dead bands of directions.
         time_s: (n,), not falling.
         channels: arrays (n,) by channel name: `x`, `T_spindle`, `spindle_rpm`; a direction `d_x` and a distance
             since reversal `s_x` that are not given follow from the order of the positions. Velocities and
-            accelerations are given, or zero where `at_rest`, or are not there.
-        reference_degc: temperature at which a temperature effect is nothing.
-        dead_band_mm: by axis name, where it is another than the machine's own.
-        at_rest: the axes stood still at all instants; velocities and accelerations that are not given are zero.
+            accelerations are given, or zero where `at_rest`, or missing.
+        reference_degc: temperature at which a temperature effect is zero.
+        dead_band_mm: by axis name, where it differs from the machine's.
+        at_rest: the axes are at rest at all instants; velocities and accelerations that are not given are zero.
     """
 
     machine: Machine
@@ -68,7 +68,7 @@ class State:
         """Give a channel, (n,).
 
         Raises:
-            ModelError: the channel is neither given nor follows from those that are.
+            ModelError: the channel is not given and does not follow from the given ones.
         """
         if name in self.channels:
             return self.channels[name]
@@ -82,7 +82,7 @@ class State:
         return self._cache[name]
 
     def has(self, name: str) -> bool:
-        """Whether a channel is given or follows from those that are."""
+        """Whether a channel is given or follows from the given ones."""
         axis = next((a for a in self.machine.axes if name in a.moving_channels), None)
         if name in self.channels or name == "time_s" or axis is None:
             return name in self.channels or name == "time_s"
@@ -125,17 +125,17 @@ class State:
         return lag_track(whole, self.time_s, float(tau_s))
 
     def positions_mm(self) -> Floats:
-        """Axis positions, (n, axes); an axis that is not among the channels stands at zero."""
+        """Axis positions, mm, (n, axes); zero for an axis that is not among the channels."""
         zero = np.zeros(len(self))
         return np.stack([self.channels.get(a.channel, zero) for a in self.machine.axes], axis=-1)
 
     def remembered(self) -> tuple[str, ...]:
-        """Channels that follow from the order of the positions: to be kept before rows are left out."""
+        """Channels that follow from the order of the positions; `rows` computes them before it drops instants."""
         moved = [a for a in self.machine.axes if a.channel in self.channels]
         return tuple(c for a in moved for c in (a.direction_channel, a.since_reversal_channel))
 
     def rows(self, index: Sequence[int] | slice | Floats) -> "State":
-        """Give the state at some instants; what has memory of the motion is kept as it was in the whole."""
+        """The state at some instants; channels with memory of the motion keep their values in the whole state."""
         names = {*self.channels, *self.remembered()}
         channels = {n: self.value(n)[index] for n in names}
         return replace(self, time_s=self.time_s[index], channels=channels, _cache={})

@@ -1,4 +1,4 @@
-"""Thermal effects (catalogue A4): along an axis, bending by a difference, shifts of what carries tool and part.
+"""Thermal effects (catalogue A4): along an axis, bending by a difference, shifts of the structure.
 
 Symbols: `ΔT` temperature above the model's reference, K; `q` position, mm; `L[·]` first-order lag with time constant
 τ, `τ L' + L = u`; `n` spindle speed, 1/min. Coefficients are in the component's unit, µm or µrad.
@@ -57,7 +57,7 @@ class OneSensor(Effect):
         return (self.sensor,)
 
     def rise(self, channels: Channels, theta: Mapping[str, Value]) -> Value:
-        """Temperature rise, lagged where asked for."""
+        """Temperature rise, K; lagged where `lag` is set."""
         rise = channels.rise(self.sensor)
         return channels.lagged(rise, theta["tau"]) if self.lag else rise
 
@@ -101,9 +101,9 @@ class AxisExpansion(OneSensor, AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every sensor; fixed at zero, and at the ends and the middle of the travel where those are others; and late.
+        """Every sensor with the fixed point at zero and at the ends and the middle of the travel; and each lagged.
 
-        A sensor on the nut or in the coolant is warm before the screw is.
+        A sensor on the nut or in the coolant warms up before the screw does.
         """
         low, high = around.moved.travel_mm
         for sensor, fixed in itertools.product(around.sensors, dict.fromkeys((0.0, low, 0.5 * (low + high), high))):
@@ -255,7 +255,7 @@ class MountExpansion(OneSensor):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every sensor but those whose growth has its own name: the coolant's, and along the spindle the spindle's."""
+        """Every sensor without an effect of its own: not the coolant's, nor along the spindle the spindle's."""
         kind = component_kind(around.component, around.machine)
         taken = set(_in_coolant(around)) if kind in CoolantExpansion.feeds else set()
         if kind == "link" and around.component[1] == "Z":
@@ -267,7 +267,7 @@ class MountExpansion(OneSensor):
 
     @classmethod
     def missing(cls, around: Surroundings) -> str:
-        """Needs a temperature that has no effect of its own name."""
+        """Needs a temperature without an effect of its own."""
         reason = super().missing(around)
         if reason or component_kind(around.component, around.machine) not in cls.feeds:
             return reason
@@ -280,7 +280,7 @@ class MountExpansion(OneSensor):
 
 
 class AmbientDrift(MountExpansion):
-    """Drift with the environment through the machine's own slowness: `e = k L[ΔT_amb]`."""
+    """Drift that follows the temperature of the air with the machine's time constant: `e = k L[ΔT_amb]`."""
 
     about: ClassVar[About] = About(
         title="Drift with the environment",
@@ -307,13 +307,13 @@ class AmbientDrift(MountExpansion):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Sensors of the air; all where none is named so."""
+        """Sensors that are named after the air; all where there is none."""
         for sensor in named(around.sensors, "air", "amb", "room"):
             yield {"sensor": sensor}
 
 
 class CoolantExpansion(MountExpansion):
-    """Coolant warms work piece, tool and fixture: `e = k ΔT_coolant`."""
+    """Coolant heats work piece, tool and fixture: `e = k ΔT_coolant`."""
 
     about: ClassVar[About] = About(
         title="Expansion by the coolant (work piece, tool)",

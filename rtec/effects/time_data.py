@@ -1,6 +1,7 @@
-"""Effects of time, and what is no effect of the machine but looks like one (catalogue A6).
+"""Effects of time, and artefacts that look like an effect of the machine (catalogue A6).
 
-Time effects can be found and their cause removed; the loop refuses them, because its clock is not the measurement's.
+A diagnosis can name a time effect, so that people remove its cause. The loop refuses it: its clock is not the
+measurement's.
 """
 
 import math
@@ -30,7 +31,7 @@ class _OfTime(Effect):
 
 
 class DailyDrift(_OfTime):
-    """Sun, foundation, shift of the day: `e = s sin(2πt/24 h) + c cos(2πt/24 h)`."""
+    """Daily cycle (sun, foundation, working shift): `e = s sin(2πt/24 h) + c cos(2πt/24 h)`."""
 
     about: ClassVar[About] = About(
         title="Daily drift (sun, foundation, tide)",
@@ -67,7 +68,7 @@ class DailyDrift(_OfTime):
 
 
 class WearDrift(_OfTime):
-    """Something wears evenly: `e = w t`."""
+    """Wear at a steady rate: `e = w t`."""
 
     about: ClassVar[About] = About(
         title="Drift by wear (tool, guide)",
@@ -103,7 +104,7 @@ class WearDrift(_OfTime):
 
 
 class MissedCounts(AxisEffect):
-    """Counts were lost, or something slipped, at one instant: `e = q · 1[t > t0]`."""
+    """Lost counts, or a slip, at one instant: `e = q · 1[t > t0]`."""
 
     about: ClassVar[About] = About(
         title="Missed counts, slip or a knock",
@@ -128,12 +129,12 @@ class MissedCounts(AxisEffect):
             yield {"axis": around.axis.name}
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`q`: what was lost."""
+        """`q`: the lost distance or angle."""
         del machine
         return (Parameter("q", self.unit, typical=5.0),)
 
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`t0`: when."""
+        """`t0`: the instant, s."""
         del machine
         return (Parameter("t0", "s", 3600.0, 0.0, 1e7),)
 
@@ -143,7 +144,7 @@ class MissedCounts(AxisEffect):
         return ("time_s",)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """A step that takes a second, so that it has a derivative."""
+        """A step that takes a second: a search needs its derivative."""
         del machine
         return [np.minimum(np.maximum((channels.value("time_s") - theta["t0"]) + 0.5, 0.0), 1.0)]
 
@@ -177,4 +178,4 @@ NOT_EFFECTS: dict[str, About] = {
         reveal="reported with every fit and diagnosis; only isolated readings are excluded",
     ),
 }
-"""What looks like an effect and is none: `rtec effects` shows them, a model cannot hold them."""
+"""Artefacts that look like an effect: `rtec effects` shows them, a model cannot hold them."""

@@ -1,4 +1,4 @@
-"""Plug-ins are tried before they are used: what somebody else's code does wrong takes nothing else with it."""
+"""Tries plug-ins before they are used: a plug-in that fails is skipped, and all other effects still work."""
 
 import itertools
 import warnings
@@ -13,14 +13,14 @@ from rtec.errors import ModelError
 from rtec.machine import Machine
 
 SKIPPED: dict[type[Effect], str] = {}
-"""Plug-ins that failed in this process, and how."""
+"""Plug-ins that failed in this process, each with its fault."""
 MOST = 1000
-"""Instances of a plug-in that are tried for one component error, at most."""
+"""Largest number of instances of a plug-in for one component error."""
 INSTANTS = 4
 
 
 class PlugInWarning(UserWarning):
-    """A plug-in is skipped; the message names it and says what it did."""
+    """A plug-in is skipped; the message names it and its fault."""
 
 
 def is_plug_in(kind: type[Effect]) -> bool:
@@ -29,26 +29,26 @@ def is_plug_in(kind: type[Effect]) -> bool:
 
 
 def instances(kind: type[Effect], around: Surroundings) -> list[Effect]:
-    """What an effect suggests; a plug-in that fails at it suggests nothing, and is skipped from then on."""
+    """Instances that an effect suggests; a plug-in that fails suggests none, and is skipped from then on."""
     if not is_plug_in(kind):
         return list(kind.suggest(around))
     if kind in SKIPPED:
         return []
     try:
-        found: list[Any] = list(itertools.islice(kind.suggest(around), MOST))
+        suggested: list[Any] = list(itertools.islice(kind.suggest(around), MOST))
     except Exception as e:  # noqa: BLE001 - somebody else's code may fail in any way, and only its effect is lost
         skip(kind, _suggest_fault(e))
         return []
-    for effect in found:
+    for effect in suggested:
         fault = fault_of(effect, around.machine) if isinstance(effect, Effect) else f"suggest() gives {effect!r}"
         if fault:
             skip(kind, fault)
             return []
-    return found
+    return suggested
 
 
 def lacking(kind: type[Effect], around: Surroundings) -> str:
-    """What was not moved or recorded for an effect, in words; empty where nothing, or where a plug-in fails at it."""
+    """`missing` of an effect, in words; empty where nothing is missing, or where a plug-in fails."""
     if not is_plug_in(kind):
         return kind.missing(around)
     if kind in SKIPPED:
@@ -56,38 +56,38 @@ def lacking(kind: type[Effect], around: Surroundings) -> str:
     try:
         return str(kind.missing(around))
     except Exception as e:  # noqa: BLE001 - as above
-        skip(kind, f"missing() raises {_said(e)}")
+        skip(kind, f"missing() raises {_error_text(e)}")
         return ""
 
 
 def skip(kind: type[Effect], fault: str) -> None:
-    """Leave a plug-in out of everything that follows, and say so in one line."""
+    """Skip a plug-in from now on, with a warning of one line."""
     SKIPPED[kind] = f"{kind.__module__}.{kind.__name__}: {fault}"
     name = kind.model_fields["effect"].default
     warnings.warn(f"plug-in effect {name!r} is skipped: {SKIPPED[kind]}", PlugInWarning, stacklevel=3)
 
 
 def fault_of(effect: Effect, machine: Machine) -> str:
-    """What an effect of a plug-in does wrong on made-up instants, in words; empty where nothing, and for rtec's own."""
+    """Fault of a plug-in's effect at made-up instants, in words; empty where it has none, and for effects of rtec."""
     if not is_plug_in(type(effect)):
         return ""
-    asked = "check"
+    method = "check"
     try:
         effect.check(machine, "trial")
-        asked = "coefficients"
+        method = "coefficients"
         linear = tuple(effect.coefficients(machine))
-        asked = "nonlinear"
+        method = "nonlinear"
         free = tuple(effect.nonlinear(machine))
-        asked = "channels"
+        method = "channels"
         unknown = [c for c in effect.channels(machine) if c not in machine.channel_names]
-        asked = "basis"
+        method = "basis"
         with np.errstate(all="ignore"):
             values = list(effect.basis(machine, _instants(machine), {p.name: p.start for p in free}))
             shapes = [np.broadcast_shapes(np.asarray(v, dtype=np.float64).shape, (INSTANTS,)) for v in values]
     except ModelError:
-        return ""  # it does not fit this machine, which is no fault
+        return ""  # an effect may refuse a machine that it does not fit
     except Exception as e:  # noqa: BLE001 - as above
-        return f"{asked}() raises {_said(e)}"
+        return f"{method}() raises {_error_text(e)}"
     if not all(isinstance(p, Parameter) for p in (*linear, *free)):
         return "coefficients() and nonlinear() give Parameter(…), and nothing else"
     if unknown:
@@ -126,8 +126,8 @@ def _suggest_fault(error: Exception) -> str:
     if isinstance(error, ValidationError) and error.errors()[0]["type"] == "missing":
         key = ".".join(map(str, error.errors()[0]["loc"]))
         return f"its argument {key!r} has no default, and arguments() gives no value for it"
-    return f"suggest() raises {_said(error)}"
+    return f"suggest() raises {_error_text(error)}"
 
 
-def _said(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0]}"

@@ -24,16 +24,16 @@ class Measurement(Shown):
     """n rows in order of time; a run is one uninterrupted traverse or cycle.
 
     Attributes:
-        name: file stem, or what it is called.
-        instrument: what read it, with its set-up.
-        machine: that it was read on.
+        name: file stem, or another name.
+        instrument: the instrument with its set-up.
+        machine: the measured machine.
         run: run number of each row, (n,).
         time_s: (n,), not falling.
         channels: by channel name, (n,): positions mm, `d_x` where given, `v_x` mm/s, temperatures °C, `spindle_rpm`,
             `feed_mm_min`, `load_kg`.
         readings: by column name (`reading_um`, `reading_x_um`, …), (n,); NaN where there is none.
-        sha256: of the file's content; empty for one that never was a file.
-        notes: what the reader told about the file, in words.
+        sha256: hash of the file's content; empty where there was no file.
+        notes: notes of the reader on the file, in words.
     """
 
     page_maker: ClassVar[str] = "rtec.report.measurement:measurement_page"
@@ -53,7 +53,7 @@ class Measurement(Shown):
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of its file, or of what it holds where it never was one: the same readings are known again."""
+        """SHA-256 of its file, or of its content where there was no file; identifies equal readings."""
         if self.sha256:
             return self.sha256
         whole = hashlib.sha256(self.name.encode())
@@ -63,7 +63,7 @@ class Measurement(Shown):
         return whole.hexdigest()
 
     def facts(self) -> dict[str, Any]:
-        """What it is, without its readings."""
+        """The measurement as plain data, without its readings."""
         return {
             "name": self.name,
             "instrument": self.instrument.name,
@@ -77,13 +77,13 @@ class Measurement(Shown):
         }
 
     def to_frame(self, kind: Kind | None = None) -> Any:
-        """Every row, in the columns of its file: `run`, `time_s`, `x_mm`, `T_bed_degc`, `reading_um` and so on.
+        """Every row, with the columns of its file: `run`, `time_s`, `x_mm`, `T_bed_degc`, `reading_um` and so on.
 
         Args:
             kind: "pandas", "polars" or "arrow"; by default the first of them that is installed.
 
         Raises:
-            RtecError: what `kind` names is not installed.
+            RtecError: the package of `kind` is not installed.
         """
         columns = {v: k for k, v in self.machine.columns.items()}
         channels = {columns.get(c, c): v for c, v in self.channels.items()}

@@ -1,4 +1,4 @@
-"""Units that measuring programs write, and the one unit of each kind that rtec works in."""
+"""Units of measuring programs, and rtec's own unit of each kind."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Unit:
-    """`kind` tells what may be converted into what; value in the kind's base = (value + before) × factor."""
+    """A unit; units of one `kind` can be converted: value in the kind's base = (value + before) × factor."""
 
     kind: str
     factor: float
@@ -77,7 +77,7 @@ UNITS: dict[str, Unit] = {
 
 ALIASES = {
     "µm": "um",
-    "μm": "um",  # the Greek letter, not the sign for micro
+    "μm": "um",  # the Greek letter, not the micro sign
     "micron": "um",
     "microns": "um",
     "in": "inch",
@@ -132,10 +132,10 @@ SUFFIXES = {
 
 
 def canonical(name: str) -> str:
-    """Give the unit as it stands in `UNITS`.
+    """The unit's name in `UNITS`.
 
     Raises:
-        ValueError: no such unit; the nearest one is named.
+        ValueError: there is no such unit; the message has the nearest one.
     """
     word = name.strip().lower()
     word = ALIASES.get(word, word)
@@ -151,10 +151,10 @@ def unit_of_column(column: str) -> str:
 
 
 def convert(values: Floats, unit: str, target: str) -> Floats:
-    """Give values in another unit of the same kind.
+    """Convert values to another unit of the same kind.
 
     Raises:
-        ValueError: the units measure different things, or are not known.
+        ValueError: the units are of different kinds or unknown.
     """
     have, want = UNITS[canonical(unit)], UNITS[canonical(target)]
     if have.kind != want.kind:

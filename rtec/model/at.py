@@ -1,4 +1,4 @@
-"""A state from what a person has: numbers, arrays, a dict or a frame, named as in the machine file or a table."""
+"""A state from numbers, arrays, a dict or a frame, with the names of the machine file or of a table."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,16 +17,16 @@ Floats = NDArray[np.float64]
 
 
 class Described(Protocol):
-    """What of a model says which channels it needs."""
+    """The part of a model that names the channels that it needs."""
 
     @property
     def machine(self) -> Machine:
-        """Names the channels."""
+        """The machine, whose channels have names."""
         ...
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """That the effects read."""
+        """Channels that the effects read."""
         ...
 
     @property
@@ -36,18 +36,18 @@ class Described(Protocol):
 
     @property
     def reference_degc(self) -> float:
-        """Temperature at which a temperature effect is nothing."""
+        """Temperature at which a temperature effect is zero."""
         ...
 
     @property
     def dead_bands_mm(self) -> Mapping[str, float]:
-        """Motion back by at most this much is no reversal."""
+        """Dead bands by axis name: motion back by at most this much is no reversal."""
         ...
 
 
 @dataclass(frozen=True)
 class SettledState(State):
-    """Instants without a time: each is a steady state, in which every lag has settled."""
+    """Instants without a time: each is a steady state, where every lag has settled."""
 
     def lagged(self, value: Any, tau_s: Any) -> Floats:
         """The value itself, (n,)."""
@@ -56,11 +56,11 @@ class SettledState(State):
 
 
 def state_at(model: Described, given: Any, channels: Mapping[str, ArrayLike]) -> tuple[State, bool]:
-    """The state, and whether all that was given are single numbers.
+    """The state, and whether all given values are single numbers.
 
     Args:
-        model: whose machine names the channels, and whose effects say which are needed.
-        given: a dict, or a frame of pandas, polars or Arrow; columns of a frame that are no channel are not read.
+        model: its machine names the channels, and its effects need some of them.
+        given: a dict, or a frame of pandas, polars or Arrow; columns of a frame that are no channel are ignored.
         channels: further channels by name.
 
     Raises:
@@ -88,7 +88,7 @@ def state_at(model: Described, given: Any, channels: Mapping[str, ArrayLike]) ->
 
 
 def _names(machine: Machine) -> dict[str, str]:
-    """Channel by every name that it goes by: its own, its column, the axis' name, and `dir_X`."""
+    """Channel by each of its names: its own, its column's, the axis' name, and `dir_X`."""
     out = {c: c for c in machine.channel_names} | dict(machine.columns)
     for axis in machine.axes:
         out |= {axis.name: axis.channel, f"dir_{axis.name}": axis.direction_channel}
@@ -112,7 +112,7 @@ def _numbers(name: str, value: Any) -> Floats:
 
 
 def _check_needed(model: Described, state: State, *, timed: bool) -> None:
-    """Whether everything is there that the effects read, and every position that a lever arm depends on."""
+    """Raise ModelError where a channel is missing that an effect reads or that a lever arm depends on."""
     machine = model.machine
     if len(state) and "time_s" in model.channels and not timed:
         raise ModelError("predict: time_s is missing; the model has an effect of the time")

@@ -37,7 +37,7 @@ class _ModelTable(Strict):
             the model is used with, whichever it is; rtec writes it out when it saves the model.
         machine_file: where the machine's file is; a relative path starts at the model's folder. Commands that are
             given a model alone look there first.
-        reference_degc: temperature at which a temperature effect is nothing.
+        reference_degc: temperature at which a temperature effect is zero.
         noise_um: noise of the measurements behind the fit.
         effects: how many follow, so that a file that was cut off is refused; may be left out.
     """
@@ -79,8 +79,8 @@ def load_model(path: Path, machine: Machine) -> Model:
     """Read a model for a machine.
 
     Raises:
-        ModelError: the file is broken, made for another machine, or names an effect, argument or parameter that is
-            not there; the message says where and what is allowed.
+        ModelError: the file is broken, made for another machine, or names an unknown effect, argument or parameter; the
+            message has the place and what is allowed.
     """
     return model_from(read_toml(path, ModelError), machine, str(path))
 
@@ -93,10 +93,10 @@ def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
             f"{source}: [model] machine_hash: made for machine {file.model.machine!r} as it was then, not for "
             f"{machine.name!r} as its file is now; refit, or check which machine file belongs to it"
         )
-    told = file.model.effects
-    if told is not None and told != len(file.effect):
+    count = file.model.effects
+    if count is not None and count != len(file.effect):
         raise ModelError(
-            f"{source}: [model] effects = {told}, and {len(file.effect)} are in the file: it was cut off while it was "
+            f"{source}: [model] effects = {count}, and {len(file.effect)} are in the file: it was cut off while it was "
             "copied or written; copy it again. After adding or removing one by hand, change the number, too"
         )
     model = Model(
@@ -115,19 +115,19 @@ def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
 
 
 def save_model(model: Model, path: Path, *, replace: bool = True) -> None:
-    """Write a model; the file appears whole or not at all, an older one of that name is replaced.
+    """Write a model; the file appears whole or not at all.
 
     Args:
-        model: that is written.
+        model: the model.
         path: of its file.
-        replace: take the place of an older file of that name.
+        replace: replace an older file of that name.
 
     Raises:
-        ModelError: it cannot be written.
-        FileExistsError: there is one, and it is not to be replaced.
+        ModelError: the file cannot be written.
+        FileExistsError: the file exists, and `replace` is false.
     """
     content = tables(model)
-    # A file that is cut off between two effects is good TOML; before all other keys, so that none hides the cut.
+    # A file that is cut off between two effects is valid TOML; the count comes first, so that a cut never removes it.
     content["model"] = {"effects": len(model.effects), **content["model"]}
     if model.machine.file is not None:
         content["model"]["machine_file"] = _way(path.parent, model.machine.file)
@@ -136,7 +136,7 @@ def save_model(model: Model, path: Path, *, replace: bool = True) -> None:
 
 
 def _way(folder: Path, file: Path) -> str:
-    """A file as seen from a folder, so that both may be moved together."""
+    """Path of a file relative to a folder, so that both may be moved together."""
     return os.path.relpath(file.resolve(), folder.resolve())
 
 
@@ -178,7 +178,7 @@ def _read_effect(table: Mapping[str, Any], source: str) -> FittedEffect:
 
 
 def _check_units(file: ModelFile, model: Model, source: str) -> None:
-    """Refuse numbers written in another unit than the one in which they are read."""
+    """Refuse numbers in a unit other than the one of their parameter."""
     faults = []
     for i, (table, fitted) in enumerate(zip(file.effect, model.effects, strict=True)):
         effect = fitted.effect

@@ -1,4 +1,4 @@
-"""What every fit of a model needs: the scale on which a search runs, and the range in which its result may be used."""
+"""Shared by all fits of a model: the scale of a search, and the range in which the result is valid."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from rtec.effects import Effect, Parameter, State
 from rtec.errors import ModelError
 
 LOG_SPAN = 50.0
-"""Parameters whose bounds are further apart than this factor are searched for on a logarithmic scale."""
+"""If the upper bound is more than this factor times the lower one, the search scale is logarithmic."""
 
 
 @dataclass(frozen=True)
 class Margin:
-    """How far beyond the readings a model may be used: a share of what was seen, and at least so many °C.
+    """How far a model is valid beyond its readings: by a share of their range, for temperatures by so many °C at least.
 
     Another day begins a little colder or ends a little warmer than the day of the readings; outside the valid range
-    the guard holds the correction where it is.
+    the guard holds the correction.
     """
 
     share: float = 0.05
@@ -27,7 +27,7 @@ class Margin:
 
 @dataclass(frozen=True)
 class SearchScale:
-    """A parameter's bounds as 0 … 1, straight or logarithmic."""
+    """Maps a parameter's bounds to 0 … 1, linearly or logarithmically."""
 
     low: float
     high: float
@@ -35,7 +35,7 @@ class SearchScale:
 
     @classmethod
     def of(cls, parameter: Parameter) -> "SearchScale":
-        """Give the scale of a parameter; ModelError where it has no bounds."""
+        """The scale of a parameter; ModelError where it has no bounds."""
         low, high = parameter.low, parameter.high
         if not np.isfinite([low, high]).all():
             raise ModelError(f"fit: non-linear parameter {parameter.name!r} has no bounds to search within")
@@ -43,12 +43,12 @@ class SearchScale:
         return cls(np.log(low), np.log(high), True) if log else cls(low, high, False)
 
     def value(self, place: float) -> float:
-        """Give the parameter at a place in 0 … 1."""
+        """Value of the parameter at a place in 0 … 1."""
         there = self.low + (self.high - self.low) * place
         return float(np.exp(there)) if self.log else float(there)
 
     def place(self, value: float) -> float:
-        """Give the place of a parameter, 0 … 1 within the bounds."""
+        """Place of a value, 0 … 1 within the bounds."""
         there = np.log(value) if self.log else value
         return float((there - self.low) / (self.high - self.low))
 
@@ -56,15 +56,15 @@ class SearchScale:
 def valid_range(
     effects: Sequence[Effect], read: Sequence[tuple[State, NDArray[np.int64]]], margin: Margin
 ) -> dict[str, tuple[float, float]]:
-    """Range of every channel that the effects read, where there are readings, with the margin.
+    """Valid range of every channel that the effects read: its range in the readings, with the margin.
 
-    Directions have no margin. Velocities and accelerations take in standstill, at which every motion begins and
-    ends. Distances since a reversal have no range: each begins at nothing and is as long as the travel allows.
+    Directions have no margin. Velocities and accelerations include standstill, at which every motion begins and ends.
+    Distances since a reversal have no range: each begins at zero and may become as long as the travel.
 
     Args:
-        effects: whose channels.
-        read: states, and the rows of each that have a reading; a state without a channel says nothing of it.
-        margin: how far beyond.
+        effects: the effects.
+        read: states, and the rows of each that have a reading; a state without a channel does not limit its range.
+        margin: how far beyond the readings.
     """
     machine = read[0][0].machine
     directions = {a.direction_channel for a in machine.axes}
@@ -72,8 +72,8 @@ def valid_range(
     since = {a.since_reversal_channel for a in machine.axes}
     out = {}
     for channel in sorted({c for e in effects for c in e.channels(machine)} - since):
-        seen = [state.value(channel)[rows] for state, rows in read if state.has(channel) and len(rows)]
-        low, high = float(min(s.min() for s in seen)), float(max(s.max() for s in seen))
+        values = [state.value(channel)[rows] for state, rows in read if state.has(channel) and len(rows)]
+        low, high = float(min(v.min() for v in values)), float(max(v.max() for v in values))
         if channel in rates:
             low, high = min(low, 0.0), max(high, 0.0)
         extra = margin.share * (high - low)

@@ -1,4 +1,4 @@
-"""The history of a model: every change of it, with the error on held-out runs before and after."""
+"""The history of a model: every change, with the error on held-out runs before and after."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ class History(Result):
     """Every change of a model.
 
     Attributes:
-        model: whose history it is.
+        model: the model.
     """
 
     page_maker: ClassVar[str] = "rtec.report.history:history_page"
@@ -30,12 +30,12 @@ class History(Result):
         return {"model": self.model.name, "history": [dict(h) for h in self.model.history], "steps": self.steps}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """A step each."""
+        """One row a step."""
         return self.steps
 
 
 def steps_of(model: Model) -> list[dict[str, Any]]:
-    """Entries of a model's history that know their error on held-out runs."""
+    """Entries of a model's history that have an error on held-out runs, oldest first."""
     out: list[dict[str, Any]] = []
     for entry in model.history:
         after = entry.get("rms_after", entry.get("rms_held_out"))
@@ -62,21 +62,21 @@ def steps_of(model: Model) -> list[dict[str, Any]]:
 
 
 def _same_data(entry: Mapping[str, Any], model: Model, before: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether an entry was judged on the measurements of the one before it."""
+    """Whether an entry's errors are from the same measurements as those of the entry before."""
     if not before:
         return False
     if "same_measurements" in entry:
         return bool(entry["same_measurements"])
     now, last = sorted(entry.get("measurements", ())), before[-1]
-    # A fit does not name its measurements; where the model knows no others, they are those of this entry.
+    # A fit does not name its measurements; if the model has no others, they are those of this entry.
     return now == (last["measurements"] or sorted(model.measurements))
 
 
 def rescaled(steps: Sequence[Mapping[str, Any]]) -> list[float]:
-    """Errors after each step, all in the yardstick of the last.
+    """Errors after each step, all in the unit of the last one.
 
-    In multiples of the noise the yardstick is re-estimated at every step: a model that lacks much takes a part of it
-    for noise. The error after the step before is then that before this one.
+    Where errors are multiples of the noise, a step may re-estimate it: a model that lacks much takes part of its error
+    for noise. The error before a step and the error after the previous one are the same, which gives the factor.
     """
     out = [float(s["error"]) for s in steps]
     for i in range(len(steps) - 1, 0, -1):

@@ -20,16 +20,16 @@ from rtec.result import Shown
 from rtec.tomlfile import digest, nearest
 
 PLACES = 3
-"""Positions along each axis and levels of the temperatures that are tried."""
+"""Positions along each axis, and levels of the temperatures, at which `reversal_um` evaluates the model."""
 
 
 def reversal_um(model: "Model") -> dict[str, float]:
     """Largest rise of the tip error along each axis from moving negative to moving positive, µm, by axis name.
 
-    Zero where the error falls at every such turn, as with ordinary play: the correction that follows then moves the
-    axis further on the way it has turned to. Where the error rises, the correction moves it back.
+    Zero where the error falls at every such reversal, as with ordinary play: the correction then moves the axis further
+    in its new direction. Where the error rises, the correction moves the axis back.
 
-    Tried at the ends and the middle of every axis' travel, and at both ends of the temperatures' fitted range.
+    Evaluated at the ends and the middle of every axis' travel, and at both ends of the temperatures' fitted range.
     """
     machine = model.machine
     turning = {a.name for a in machine.axes if {a.direction_channel, a.since_reversal_channel} & set(model.channels)}
@@ -47,8 +47,8 @@ def reversal_um(model: "Model") -> dict[str, float]:
 def _along(model: "Model", poses: np.ndarray, level: int, axis: Axis, direction: float) -> np.ndarray:
     """Tip error along an axis, µm, (distances, poses): at standstill, the other axes far from their reversal.
 
-    Where the model reads the distance since the reversal, at many of them: what builds up within micrometres moves the
-    axis back just as a jump does, and an axis may turn again before it has faded.
+    Where the model reads the distance since the reversal, there are many distances: an error that builds up within
+    micrometres moves the axis back as a jump does, and an axis may reverse again before the error has faded.
     """
     fades = axis.since_reversal_channel in model.channels
     since_mm = np.array([0.0, *np.logspace(-4, 3, 29), FAR_MM]) if fades else np.array([FAR_MM])
@@ -83,7 +83,7 @@ class FittedEffect:
         effect: the effect and its arguments.
         values: coefficients by name.
         theta: non-linear parameters by name.
-        errors: standard errors by name, of either; those not known are not there.
+        errors: standard errors by name, of coefficients and of `theta`; unknown ones are missing.
     """
 
     effect: Effect
@@ -93,7 +93,7 @@ class FittedEffect:
 
     @property
     def label(self) -> str:
-        """Short name for tables: effect, component, and what it depends on."""
+        """Short name for tables: effect, component and arguments."""
         extra = [
             str(getattr(self.effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(self.effect, k, None)
         ]
@@ -105,11 +105,11 @@ class Model(Shown):
     """A geometric-thermal model.
 
     Attributes:
-        machine: whose chain turns component errors into tip error.
+        machine: its chain turns component errors into tip error.
         effects: fitted effects; those of one component add up.
         name: for people.
         reference_degc: temperature at which a temperature effect is nothing.
-        valid_range: channel to lowest and highest value seen in the fit; the guard holds outside.
+        valid_range: channel to lowest and highest value in the fit; the guard holds outside.
         noise_um: noise floor of the measurements behind the fit.
         measurements: SHA-256 of those measurements by name.
         history: one entry a change, as tables.
@@ -177,15 +177,15 @@ class Model(Shown):
         ]
 
     def state(self, time_s: Floats, channels: Mapping[str, Floats]) -> State:
-        """Give a state of this model's machine and reference temperature."""
+        """A state with this model's machine, reference temperature and dead bands; channels (n,) by name."""
         return State(self.machine, time_s, channels, self.reference_degc, self.dead_bands_mm)
 
     @cached_property
     def dead_bands_mm(self) -> dict[str, float]:
         """Motion back by at most this much is no reversal, by axis name; the loop uses the same.
 
-        Where turning round makes a correction that moves the axis back, never less than that jump (and a quarter):
-        an axis that its own correction turns round would be turned back again, for ever.
+        Where the correction of a reversal moves the axis back, the band is the machine's plus 1.25 times that jump.
+        Otherwise the correction would reverse the axis, and the next correction would reverse it again, for ever.
         """
         jumps = reversal_um(self)
         return {
@@ -194,7 +194,7 @@ class Model(Shown):
         }
 
     def effect_components(self, state: State) -> list[Floats]:
-        """What each effect adds to its component, µm or µrad: a list of (n,)."""
+        """Contribution of each effect to its component, µm or µrad: a list of (n,)."""
         return [self._contribution(fitted, state) for fitted in self.effects]
 
     def components(self, state: State) -> Floats:
@@ -221,7 +221,7 @@ class Model(Shown):
             (n, 3) along X, Y, Z; (3,) where every channel is a single number.
 
         Raises:
-            ModelError: a name that is no channel, or one that the model needs and that is missing.
+            ModelError: a name is no channel, or a channel that the model needs is missing.
         """
         if not isinstance(at, State):
             state, single = state_at(self, at, channels)
@@ -290,18 +290,18 @@ def names_of(effect: Effect, machine: Machine) -> tuple[tuple[str, ...], tuple[s
 def check_fitted(fitted: FittedEffect, machine: Machine, where: str) -> None:
     """Raise ModelError where an effect does not fit the machine or lacks a number, or where a plug-in fails."""
     check_effect(fitted.effect, machine, where)
-    for kind, wanted, found in zip(
+    for kind, names, numbers in zip(
         ("coefficient", "non-linear parameter"),
         names_of(fitted.effect, machine),
         (fitted.values, fitted.theta),
         strict=True,
     ):
-        missing = [n for n in wanted if n not in found]
-        extra = [n for n in found if n not in wanted]
+        missing = [n for n in names if n not in numbers]
+        extra = [n for n in numbers if n not in names]
         if missing or extra:
-            said = f"{kind} {missing[0]!r} is missing" if missing else f"unknown {kind} {extra[0]!r}"
-            raise ModelError(f"{where}: {said}; it has: {', '.join(wanted) or 'none'}")
-        if not all(np.isfinite(v) for v in found.values()):
+            fault = f"{kind} {missing[0]!r} is missing" if missing else f"unknown {kind} {extra[0]!r}"
+            raise ModelError(f"{where}: {fault}; it has: {', '.join(names) or 'none'}")
+        if not all(np.isfinite(v) for v in numbers.values()):
             raise ModelError(f"{where}: a {kind} is not a finite number")
     for parameter in fitted.effect.nonlinear(machine):
         low, high = _believable(parameter)
@@ -313,7 +313,7 @@ def check_fitted(fitted: FittedEffect, machine: Machine, where: str) -> None:
 
 
 def _believable(parameter: Parameter) -> tuple[float, float]:
-    """Lowest and highest value that a model may have: ten times beyond where a fit searches, and of the same sign."""
+    """Lowest and highest value that a model may have: ten times beyond the bounds of a search, with the same sign."""
     low, high = parameter.low, parameter.high
     if low > 0:
         return low / 10, high * 10

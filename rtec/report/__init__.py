@@ -1,1 +1,1 @@
-"""Figures and the page that holds them."""
+"""Reports: pages and their figures."""

@@ -1,4 +1,4 @@
-"""Reports of an effect that was added to a model, and of a model that was improved step by step."""
+"""Reports of `rtec add` and `rtec improve`: the error before and after one change, and after each of several."""
 
 import math
 
@@ -6,7 +6,7 @@ from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.improve import Improved
 from rtec.diagnosis.words import UNITS, sentence
 from rtec.report.history import history_sections
-from rtec.report.page import Page, Section, Table, typed
+from rtec.report.page import Page, Section, Table, shell_command
 from rtec.wording import counted, decimals, number, percent, sizes, two_numbers
 
 WHY_ENDED = {
@@ -42,7 +42,7 @@ def added_page(a: Added, figures: bool = True) -> Page:
         [],
         [section, *history_sections(a.model, figures)],
         brief=Section("", [], section.table),
-        next=[typed("rtec", "diagnose", *a.files)] if a.files else [],
+        next=[shell_command("rtec", "diagnose", *a.files)] if a.files else [],
     )
 
 
@@ -112,7 +112,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         [],
         [*history, *steps, *tail],
         brief=Section("", [], history[0].table if history else None),
-        next=[typed("rtec", "history", r.files[0], "--report", "out/history")] if r.files else [],
+        next=[shell_command("rtec", "history", r.files[0], "--report", "out/history")] if r.files else [],
     )
 
 

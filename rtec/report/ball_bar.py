@@ -1,4 +1,4 @@
-"""Report of ball-bar tests: causes, how much of the circle each one is, how sure that is, and which test to add."""
+"""Report of ball-bar tests: causes, their shares of the circle's error, their uncertainty, and which test to add."""
 
 from collections.abc import Sequence
 from typing import get_args
@@ -14,7 +14,7 @@ from rtec.metrology.ball_bar.iso230_4 import CircleHarmonic
 from rtec.metrology.ball_bar.search import NotFound
 from rtec.metrology.instruments.ball_bar import Plane
 from rtec.report import ball_bar_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
 from rtec.wording import NONE, number, percent, significant
 
@@ -32,18 +32,18 @@ UNITS = {
 }
 RAREST = 1e-6
 BRIEF, LEAST_BRIEF = 5, 0.01
-"""Causes in the short table, and the share from which on one is in it."""
+"""Largest number of causes in the short table, and smallest share of each."""
 SERVO = ("delay", "gain_")
 
 
 def beyond_section(d: BallBarDiagnosis) -> Section:
-    """The section of the page."""
-    text = [*_servo(d), *_rivals(d), *_left_out(d), *_wanted(d)]
+    """The section on causes beyond [BB]'s parameters."""
+    text = [*_servo(d), *_rivals(d), *_left_out(d), *_further_tests(d)]
     return Section("Dynamic effects and the drive", text, _table(d))
 
 
 def _servo(d: BallBarDiagnosis) -> list[str]:
-    """What one feed cannot separate: the servo's part from scale and squareness."""
+    """Sentences on servo parameters that one feed does not separate from scale and squareness."""
     open_ = [n for n in d.found.left_out if n.candidate.name.startswith(SERVO) and n.twins and not n.rival]
     feeds = feeds_of(d.circles)
     one = f"All tests were run at one feed, {feeds[0]:g} mm/min, which"
@@ -53,7 +53,7 @@ def _servo(d: BallBarDiagnosis) -> list[str]:
 
 
 def _rivals(d: BallBarDiagnosis) -> list[str]:
-    """What does nearly as well as a cause that was found."""
+    """Sentences on alternatives that explain the readings nearly as well as a significant cause."""
     out: dict[str, list[str]] = {}
     for n in d.found.left_out:
         if n.rival:
@@ -65,7 +65,7 @@ def _rivals(d: BallBarDiagnosis) -> list[str]:
 
 
 def _left_out(d: BallBarDiagnosis) -> list[str]:
-    """What these tests cannot show, other than the servo's part."""
+    """Sentences on causes that these tests cannot show, without the servo's."""
     out: dict[str, list[str]] = {}
     for n in d.found.left_out:
         if not n.rival and not (n.candidate.name.startswith(SERVO) and n.twins):
@@ -74,9 +74,9 @@ def _left_out(d: BallBarDiagnosis) -> list[str]:
     return [f"Not tested: {', '.join(titles)}: {why}." for why, titles in out.items()]
 
 
-def _titles(d: BallBarDiagnosis, left: NotLookedFor) -> str:
+def _titles(d: BallBarDiagnosis, untested: NotLookedFor) -> str:
     known = _all_titles(d)
-    return " and ".join(known.get(t, t) for t in left.twins)
+    return " and ".join(known.get(t, t) for t in untested.twins)
 
 
 def _all_titles(d: BallBarDiagnosis) -> dict[str, str]:
@@ -86,13 +86,13 @@ def _all_titles(d: BallBarDiagnosis) -> dict[str, str]:
     return titles | {c.name: c.title for c in open_}
 
 
-def _wanted(d: BallBarDiagnosis) -> list[str]:
+def _further_tests(d: BallBarDiagnosis) -> list[str]:
     title = {n.candidate.name: n.candidate.title for n in d.found.left_out}
     return [f"To separate them: {w.test}; it shows {', '.join(title[n] for n in w.names)}." for w in d.wanted]
 
 
 def _table(d: BallBarDiagnosis) -> Table | None:
-    """What was tested."""
+    """Results of the tested candidates."""
     rows = [[p.candidate.title, "yes", _chance(p.chance), NONE, ""] for p in d.found.beyond.picks]
     rows += [[_with(n), "no", NONE, significant(n.limit), UNITS[n.unit]] for n in d.found.not_found]
     head = ["tested", "found", "probability under noise alone", "would be found from", "unit"]
@@ -109,7 +109,7 @@ def _chance(share: float) -> str:
 
 
 def phase_lines(d: BallBarDiagnosis) -> list[str]:
-    """Lines over the table of parameters; none where the question does not arise or does not matter."""
+    """Lines on the servo phase above the table of parameters; empty where its choice makes no difference."""
     a, b, _ = d.circles[0].setup.letters
     late = []
     if d.lag_s:
@@ -138,7 +138,7 @@ def _phase(d: BallBarDiagnosis, a: str, b: str) -> list[str]:
 
 
 def _feeds(d: BallBarDiagnosis) -> str:
-    """The first test's feed, for every radius in proportion."""
+    """The first test's feed, and the one in proportion for every other radius, in words."""
     first = d.circles[0].setup
     radii = dict.fromkeys(c.setup.radius_mm for c in d.circles)
     return ", ".join(f"radius {r:g} mm at {first.feed_mm_min * r / first.radius_mm:.0f} mm/min" for r in radii)
@@ -157,9 +157,9 @@ FORMULAS = (
     "plus minus that moving to minus.",
 )
 LARGER = 1.05
-"""A cause that is not determined is named beside the largest one where it may be so many times larger."""
+"""An undetermined cause is named beside the largest one if it may be larger by this factor."""
 SMALLEST_UM = 0.01
-"""A cause that makes less of a circle than this has no panel."""
+"""A cause whose curve on the circle is smaller than this has no panel."""
 
 
 def ball_bar_page(d: BallBarDiagnosis, figures: bool = True) -> Page:
@@ -203,16 +203,16 @@ def _brief(d: BallBarDiagnosis) -> Table:
 
 
 def _next(d: BallBarDiagnosis) -> list[str]:
-    """The tests that separate what these confound; else a fit."""
+    """Commands: a plan of tests where causes are confounded, else a fit."""
     if not d.files:
         return []
     if d.wanted or d.fitted.rank.confounded:
-        return [typed("rtec", "plan", *d.files, "--ball-bar", "non-linear")]
-    return [typed("rtec", "fit", *d.files, "-o", "model.toml")]
+        return [shell_command("rtec", "plan", *d.files, "--ball-bar", "non-linear")]
+    return [shell_command("rtec", "fit", *d.files, "-o", "model.toml")]
 
 
 def _largest(d: BallBarDiagnosis) -> str:
-    """The largest cause that is determined, and one that may be larger and is not."""
+    """Sentence on the largest determined cause, and on an undetermined one that may be larger."""
     top = next((s for s in d.shares if s.group != RESIDUAL), None)
     if d.named is None:
         open_ = f"; {top.group} may be {number(top.g_um)} µm" if top and top.g_um > SMALLEST_UM else ""
@@ -294,7 +294,7 @@ def _interval(d: BallBarDiagnosis, v: FittedValue, named: bool) -> str:
 
 
 def _beside(d: BallBarDiagnosis, v: FittedValue) -> list[str]:
-    """What a number holds as well, and what may be there in its place."""
+    """Causes that a number includes, and alternatives to it."""
     titles, rivals = _all_titles(d), {n.candidate.name for n in d.found.left_out if n.rival}
     together = [titles.get(n, n) for n in v.with_ if n not in rivals]
     instead = [titles.get(n, n) for n in v.with_ if n in rivals]
@@ -314,7 +314,7 @@ def _apart(d: BallBarDiagnosis) -> list[str]:
 
 
 def _height(d: BallBarDiagnosis, of: OfHeight) -> str:
-    """What a height of the ball takes the place of, and the test that separates them."""
+    """Sentence on parameters that are confounded with a height of the ball, and the test that separates them."""
     a, b, n = d.circles[0].setup.letters
     titles = {v.name: v.title for v in d.fitted.values}
     planes = {x.lower(): next(p for p in get_args(Plane) if set(p) == {x, n}) for x in (a, b)}
@@ -363,7 +363,7 @@ def _spectra(d: BallBarDiagnosis) -> Table:
 
 
 def _traces(d: BallBarDiagnosis) -> list[draw.CircleTrace]:
-    """Measured and fitted without the place of the ball and the length of the bar: no fault of the machine."""
+    """Measured and fitted, without the position of the ball and the length of the bar: they are no machine error."""
     out, feeds = [], len(feeds_of(d.circles))
     for i, c in enumerate(d.circles):
         name = f"{c.name}, {c.setup.feed_mm_min:g} mm/min" if feeds > 1 else c.name
@@ -386,7 +386,7 @@ def _linear(d: BallBarDiagnosis) -> Figure:
 
 
 def _one_by_one(d: BallBarDiagnosis) -> list[Section]:
-    """Every cause by itself, largest first."""
+    """Figures of every cause alone, largest first."""
     shown = [s for s in d.shares if s.group != RESIDUAL and s.g_um > SMALLEST_UM]
     if not shown:
         return []
@@ -402,5 +402,5 @@ def _spectrum_figure(d: BallBarDiagnosis) -> Figure:
 
 
 def _amplitudes(found: Sequence[CircleHarmonic]) -> Floats:
-    """From order 1, µm."""
+    """Amplitudes from order 1, µm."""
     return np.array([h.amplitude_um for h in found[1:]], dtype=np.float64)

@@ -1,6 +1,6 @@
-"""Figures of ball-bar tests. Only arrays come in, PNG goes out.
+"""Figures of ball-bar tests, from arrays to PNG.
 
-On the circle; against the angle with the residual; each cause by itself; harmonics.
+On the circle; against the angle with the residual; each cause alone; harmonics.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ SCALES_UM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 MIDDLE = 1.0
 ARROW_RAD = 0.3
 ROOM = 0.3
-"""Share of the circle's radius that the largest deviation takes up."""
+"""Size of the largest deviation as a share of the circle's radius."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class CircleTrace:
 
 @as_png
 def polar(title: str, letters: tuple[str, str], traces: Sequence[CircleTrace]) -> "MplFigure":
-    """Deviations drawn outwards from the circle, magnified; a bar tells how much one of them is.
+    """Deviations drawn outwards from the circle, magnified, with a bar as scale.
 
     Args:
-        title: of the figure.
+        title: title of the figure.
         letters: directions of the plane, to the right and upwards.
         traces: the tests; all have the same magnification.
     """
@@ -64,9 +64,9 @@ def frame(ax: "Axes", letters: tuple[str, str], largest: float) -> float:
     """The circle, rings at a round deviation, the plane's directions and an error bar; gives the magnification.
 
     Args:
-        ax: a plain panel; its own axes are taken away.
+        ax: an empty panel; its own axes are removed.
         letters: directions of the plane, to the right and upwards.
-        largest: deviation, µm, that has to find room.
+        largest: largest deviation, µm, for which there must be room.
     """
     gain = ROOM / max(largest, 1e-6)
     round_rad = np.linspace(0.0, 2.0 * np.pi, 361)
@@ -111,7 +111,7 @@ def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> "MplFigure":
 
 
 def _cut_first(ax: "Axes", measured: Floats, fitted: Floats) -> None:
-    """Where one wave a turn towers over the others, they have the room, and its size is written at it."""
+    """Cut the bar of order 1 where it is far larger than the others, and write its size at it."""
     others = float(max(measured[1:].max(), fitted[1:].max()))
     if measured[0] > 2.0 * others > 0.0:
         ax.set_ylim(0.0, 1.5 * others)
@@ -125,7 +125,7 @@ def _looks(count: int) -> list[tuple[str, str]]:
 def around(
     ax: "Axes", angle: Floats, radius: Floats, colour: str, line: str, width: float, alpha: float, label: str = ""
 ) -> None:
-    """A curve drawn round the circle, broken where the angles jump."""
+    """Draw a curve around the circle, with gaps where the angles jump."""
     jumps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi / 2) + 1
     for k, part in enumerate(np.split(np.arange(len(angle)), jumps)):
         ax.plot(radius[part] * np.cos(angle[part]), radius[part] * np.sin(angle[part]), color=colour, linestyle=line,
@@ -133,7 +133,7 @@ def around(
 
 
 def arrow(ax: "Axes", trace: CircleTrace, radius: float, colour: str) -> None:
-    """Where the test begins, and which way it goes, outside of everything that is drawn."""
+    """Draw an arrow at the start of a test, in its sense, outside of all curves."""
     start = float(trace.angle_rad[0])
     angle = start + trace.sense * np.linspace(0.0, ARROW_RAD, 12)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -150,12 +150,12 @@ def _bar(ax: "Axes", length: float, text: str) -> None:
 
 
 def _scale(largest: float) -> float:
-    """A round number of about half the largest deviation."""
+    """A round number near half the largest deviation."""
     return min(SCALES_UM, key=lambda s: abs(np.log(s / max(0.5 * largest, 1e-6))))
 
 
 ACROSS = 2
-"""Panels beside each other."""
+"""Number of panels beside each other."""
 PANEL_IN = 2.7
 SHADE, MOST_DOTS = "#ECECEC", 4000
 
@@ -166,8 +166,8 @@ def linear(traces: Sequence[CircleTrace], window_deg: float, *, used: bool = Fal
 
     Args:
         traces: the tests.
-        window_deg: about each quadrant, shaded.
-        used: readings there are used in the fit.
+        window_deg: half-width of the shaded zone about each quadrant.
+        used: whether the fit uses the readings there.
     """
     figure, axes = stacked(*[4.6] * len(traces))
     for ax, trace in zip(axes, traces, strict=True):
@@ -193,12 +193,12 @@ def linear(traces: Sequence[CircleTrace], window_deg: float, *, used: bool = Fal
 def causes(
     traces: Sequence[CircleTrace], curves: Sequence[tuple[str, Sequence[Floats]]], window_deg: float
 ) -> "MplFigure":
-    """Each cause by itself against angle, one small panel a cause with all tests in it; all panels have one scale.
+    """Each cause alone against angle, one small panel a cause with all tests; all panels have one scale.
 
     Args:
         traces: the tests.
         curves: name of the cause, and its curve in every test, µm.
-        window_deg: about each quadrant, shaded.
+        window_deg: half-width of the shaded zone about each quadrant.
     """
     rows = -(-len(curves) // ACROSS)
     figure = canvas(PANEL_IN * rows + 1.0)
@@ -225,7 +225,7 @@ def causes(
 
 
 def shown_deg(angle_rad: Floats) -> Floats:
-    """Angles in degrees, by whole turns so that the middle of the arc lies between 0 and 360."""
+    """Angles in degrees, shifted by whole turns so that the middle of the arc is between 0 and 360."""
     deg = np.rad2deg(angle_rad)
     middle = 0.5 * float(deg.min() + deg.max())
     return np.asarray(deg - 360.0 * np.floor(middle / 360.0 + 1e-9), dtype=np.float64)

@@ -15,7 +15,7 @@ from rtec.diagnosis.words import UNITS, named, sentence, spoken
 from rtec.estimation.outliers import left_out
 from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
 from rtec.wording import decimals, number, percent, significant, sizes
 
@@ -72,15 +72,15 @@ def _next(c: Comparison) -> list[str]:
     """A diagnosis, unless the model is at the noise floor."""
     if not c.files or all(i.left.rms <= AT_FLOOR * i.floor for i in c.items):
         return []
-    return [typed("rtec", "diagnose", *c.files)]
+    return [shell_command("rtec", "diagnose", *c.files)]
 
 
 def _lead(c: Comparison) -> str:
-    """The worst news: of one reading column, and how many others there are."""
+    """The verdict on the worst reading column, and the number of others."""
     first = min(c.items, key=_badness)
     others = len(c.items) - 1
     more = f" The other {'residual is' if others == 1 else f'{others} residuals are'} in the table." if others else ""
-    return _said(first, c) + more + left_out(c.judged.given.wrong)
+    return _verdict(first, c) + more + left_out(c.judged.given.wrong)
 
 
 def _badness(i: Compared) -> tuple[bool, float]:
@@ -88,7 +88,7 @@ def _badness(i: Compared) -> tuple[bool, float]:
     return (i.explained or 0.0) >= 0.0, -i.left.rms / max(i.floor, 1e-9)
 
 
-def _said(first: Compared, c: Comparison) -> str:
+def _verdict(first: Compared, c: Comparison) -> str:
     unit = UNITS[first.unit]
     of = f"{_name(first, c)}: the" if len(c.items) > 1 else "The"
     worse = f" {sentence(WORSE)}" if (first.explained or 0.0) < 0.0 else ""
@@ -111,7 +111,7 @@ def _said(first: Compared, c: Comparison) -> str:
 
 
 def _nowhere(i: Compared) -> str:
-    """Where no place stands out."""
+    """Sentence where no region has a larger residual than the others."""
     if i.left.rms <= SURELY * i.floor:
         return "No place stands out from noise."
     if i.noise.drift <= SLOW * i.floor:
@@ -255,7 +255,7 @@ def _parts(c: Comparison) -> Section:
     for i in c.items:
         parts = i.parts[:MOST_PARTS]
         rows += [[_name(i, c), p.label, number(p.rms), number(p.most, 1), UNITS[i.unit]] for p in parts]
-    words = [f"{_name(i, c)} reads {_seen(i.sees)}." for i in c.items]
+    words = [f"{_name(i, c)} reads {_components_read(i.sees)}." for i in c.items]
     if not rows:
         return Section("What the model predicts", [*words, "No effect of the model enters these readings."])
     head = ("measurement", "effect", "root mean square", "largest", "unit")
@@ -284,7 +284,7 @@ def _drift(i: Compared, drift: str) -> str:
     )
 
 
-def _seen(sees: Sequence[str]) -> str:
+def _components_read(sees: Sequence[str]) -> str:
     more = f" and {len(sees) - MOST_SEEN} more" if len(sees) > MOST_SEEN else ""
     return (", ".join(sees[:MOST_SEEN]) or "no component error") + more
 
@@ -294,7 +294,7 @@ MOST_SENSORS = 8
 
 
 def _pictures(c: Comparison) -> list[Section]:
-    """Sections with figures, for each reading column; the one that the verdict is about comes first."""
+    """Sections with figures, for each reading column; that of the verdict comes first."""
     out: list[Section] = []
     for item, s in sorted(zip(c.items, c.traces.readings.series, strict=True), key=lambda pair: _badness(pair[0])):
         several = sum(i.name == item.name for i in c.items) > 1
@@ -359,7 +359,7 @@ def _sensors(readings: Readings, s: Series) -> list[tuple[str, Floats]]:
 
 
 def _stack(c: Comparison, item: Compared, s: Series, main: tuple[str, Floats, Floats] | None) -> draw.Stack | None:
-    """The effects along position, time or a temperature: where their means show most of what is predicted."""
+    """The effects along position, time or a temperature: the channel whose means show most of the prediction."""
     parts = {p.label: c.traces.parts[p.label][s.part] for p in item.parts}
     measured = c.traces.measured[s.part]
     scale, name = time_unit(float(np.ptp(s.time_s)))
@@ -376,31 +376,31 @@ Cells = tuple[tuple[str, Floats], tuple[str, Floats], list[tuple[str, Floats]]]
 
 
 def _map(
-    readings: Readings, s: Series, left: Floats, main: tuple[str, Floats, Floats] | None, wanted: set[str]
+    readings: Readings, s: Series, residual: Floats, main: tuple[str, Floats, Floats] | None, preferred: set[str]
 ) -> Cells | None:
-    """The map that shows most: position over a temperature or time, or two channels where nothing moved."""
+    """The map that shows most of the residual: position over a temperature or time, or two channels at rest."""
     scale, name = time_unit(float(np.ptp(s.time_s)))
     warm = [(f"{n}, °C", v) for n, v in _sensors(readings, s) if np.isfinite(v).all() and np.ptp(v) > REAL_DEGC]
     slow = [*warm, (f"time since the first reading, {name}", (s.time_s - s.time_s[0]) / scale)]
     pairs = [((main[0], main[1]), up) for up in slow] if main else list(combinations(slow, 2))
-    # What the worst region is told by is shown, where it can be.
-    pairs = [p for p in pairs if any(name.split(",")[0] in wanted for name, _ in p[1 if main else 0 :])] or pairs
-    ways = _ways(main[2] if main else np.zeros(len(left)))
-    maps = [m for one, two in pairs if (m := _cells(one, two, left, ways)) is not None]
+    # If possible, the map has a channel that defines the worst region.
+    pairs = [p for p in pairs if any(name.split(",")[0] in preferred for name, _ in p[1 if main else 0 :])] or pairs
+    ways = _ways(main[2] if main else np.zeros(len(residual)))
+    maps = [m for one, two in pairs if (m := _cells(one, two, residual, ways)) is not None]
     return max(maps, key=lambda m: m[0])[1] if maps else None
 
 
 def _ways(direction: Floats) -> list[tuple[str, Floats]]:
-    """Both directions by themselves, so that their means do not cancel; name and 1 or 0, (n,)."""
+    """Both directions separately, so that their means do not cancel; name and 1 or 0, (n,)."""
     if len(np.unique(direction)) < 2:
         return [("", np.ones(len(direction)))]
     return [(", moving +", (direction > 0).astype(float)), (", moving −", (direction < 0).astype(float))]
 
 
 def _cells(
-    across: tuple[str, Floats], up: tuple[str, Floats], left: Floats, ways: Sequence[tuple[str, Floats]]
+    across: tuple[str, Floats], up: tuple[str, Floats], residual: Floats, ways: Sequence[tuple[str, Floats]]
 ) -> tuple[float, Cells] | None:
-    """How much of the mean square is in the means of the cells, less what chance puts there; and the cells."""
+    """Share of the mean square in the means of the cells, minus that of noise alone; and the cells."""
     x, y = (cut_into("T_", v, MAP_BINS) for _, v in (across, up))
     if x is None or y is None:
         return None
@@ -408,11 +408,12 @@ def _cells(
     shown, filled, means = 0.0, 0.0, []
     for name, weight in ways:
         counts = np.bincount(code, weights=weight, minlength=size)
-        sums = np.bincount(code, weights=left * weight, minlength=size)
+        sums = np.bincount(code, weights=residual * weight, minlength=size)
         full = counts >= LEAST_IN_CELL
         means.append((name, np.where(full, sums / np.maximum(counts, 1.0), np.nan).reshape(len(y), len(x))))
-        shown += float(np.sum(sums[full] ** 2 / counts[full])) / max(float(left @ left), 1e-30) - full.sum() / len(left)
+        squares = max(float(residual @ residual), 1e-30)
+        shown += float(np.sum(sums[full] ** 2 / counts[full])) / squares - full.sum() / len(residual)
         filled += float(full.mean()) / len(ways)
-    # A thin diagonal, as two sensors on one body make it, shows no more than one of them does.
+    # A thin diagonal, as from two sensors on one body, shows no more than one sensor: such a map counts less.
     edges = [np.append(v.low, v.high[-1]) for v in (x, y)]
     return shown * min(1.0, 2.0 * filled), ((across[0], edges[0]), (up[0], edges[1]), means)

@@ -1,7 +1,7 @@
-"""Figures of a comparison. Only arrays come in, PNG goes out.
+"""Figures of a comparison, from arrays to PNG.
 
 Residuals over position with both directions, over time with the temperatures, on the circle of a ball bar, and as a
-map of two channels; and what each effect of the model adds, as bars and stacked along the channel that shows most.
+map of two channels; and the contribution of each effect, as bars and stacked along the channel that shows most.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,11 +27,11 @@ Floats = NDArray[np.float64]
 COLOURS, OTHERS = LINES[2:], "#A6A6A6"
 BINS, LEAST = 12, 3
 WIDE = 0.9
-"""Of a bin that its bars fill."""
+"""Share of a bin's width that its bars fill."""
 MOST_BARS = 10
 STACK_IN = 4.8
 LONG = 22
-"""Letters; longer names stand on two lines."""
+"""Largest number of letters of a name on one line; longer names are on two lines."""
 PLACES = 48
 MOST_DOTS = 6000
 
@@ -50,10 +50,10 @@ def over_position(
     """Measured and predicted over position, both directions; below the residual, with the noise floor as a band.
 
     Args:
-        title: of the figure.
-        unit: of the readings, for people.
-        below: name of the axis.
-        place: mm, (n,).
+        title: title of the figure.
+        unit: unit of the readings, for people.
+        below: title of the lower axis.
+        place: positions, mm, (n,).
         direction: -1, 0 or +1, (n,).
         measured, predicted: (n,).
         floor: noise, root mean square.
@@ -67,7 +67,7 @@ def over_position(
                      label=f"measured{name}")  # fmt: skip
         drawn.append(_by_place(place[mask], predicted[mask])[:2])
         at, mean, spread = _by_place(place[mask], (measured - predicted)[mask])
-        # Beside each other, so that the bars of one direction do not hide those of the other.
+        # Shifted, so that the bars of one direction do not hide those of the other.
         aside = 0.004 * float(np.ptp(place)) * (1.0 if marker == "^" else -1.0)
         low.errorbar(at + aside, mean, spread, color=colour, marker=marker, linestyle=":", linewidth=1.2, markersize=8,
                      elinewidth=1.4, label=f"residual{name}")  # fmt: skip
@@ -92,13 +92,13 @@ def _ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str, str
 
 
 def _alike(one: tuple[Floats, Floats], two: tuple[Floats, Floats]) -> bool:
-    """Whether two lines lie on each other, as far as an eye can see."""
+    """Whether two lines visibly coincide."""
     seen = 0.005 * max(float(np.ptp(np.concatenate([one[1], two[1]]))), 1e-9)
     return one[0].shape == two[0].shape and bool(np.allclose(one[1], two[1], atol=seen))
 
 
 def _by_place(place: Floats, value: Floats) -> tuple[Floats, Floats, Floats]:
-    """Place, mean and standard deviation at each target, or over stretches where there are too many, (k,) each."""
+    """Place, mean and standard deviation at each target, or in intervals if there are too many targets, (k,) each."""
     targets = np.round(place, 1)
     levels = np.unique(targets)
     if len(levels) > PLACES:
@@ -136,11 +136,12 @@ def over_time(
     """The residual over time, with the temperatures below.
 
     Args:
-        title: of the figure.
-        unit: of the readings; `time_unit` that of the times.
-        time: since the first reading, (n,).
+        title: title of the figure.
+        unit: unit of the readings.
+        time_unit: unit of the times.
+        time: time since the first reading, (n,).
         residual: measured minus predicted, (n,).
-        measured: drawn, too, where given, (n,): for an instrument at one place.
+        measured: readings that are drawn, too, (n,), for an instrument at one place; or None.
         floor: noise, root mean square.
         sensors: name and temperature, °C, (n,).
     """
@@ -167,7 +168,7 @@ def over_time(
 
 
 def _with_gaps(time: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """A line is not drawn over a time in which nothing was read."""
+    """Times and values with NaN in gaps of the readings, so that no line is drawn there."""
     if len(time) < 3:
         return time, value
     wide = np.flatnonzero(np.diff(time) > max(20.0 * float(np.median(np.diff(time))), 0.02 * float(np.ptp(time)))) + 1
@@ -187,10 +188,10 @@ def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, 
     """Measured and predicted drawn outwards from the circle, beside it the residual; None for other instruments.
 
     Args:
-        readings: all of them.
-        s: the ball bar's.
-        title: of the figure.
-        measured, predicted: µm, (n,), without what the set-up cannot know (place of the ball on the table).
+        readings: all readings.
+        s: the series of the ball bar.
+        title: title of the figure.
+        measured, predicted: µm, (n,), without the nuisance parameters (position of the ball on the table).
     """
     bar, angle = _bar(readings, s), readings.states[s.source].channels.get("angle_deg")
     if bar is None or angle is None:
@@ -205,10 +206,10 @@ def polar_pair(title: str, letters: tuple[str, str], trace: CircleTrace, names: 
     """Two deviations drawn outwards from a circle, their difference beside it.
 
     Args:
-        title: of the figure.
+        title: title of the figure.
         letters: directions of the plane, to the right and upwards.
-        trace: both.
-        names: of them, and of the difference.
+        trace: both deviations.
+        names: names of both, and of their difference.
     """
     figure = canvas(0.56 * WIDTH_IN)
     both, rest = figure.subplots(1, 2)
@@ -242,11 +243,11 @@ def residual_map(
     """Mean residual in each cell: red above, blue below zero, hatched where there are few readings.
 
     Args:
-        title: of the figure.
-        unit: of the readings.
+        title: title of the figure.
+        unit: unit of the readings.
         across, up: name with unit, and edges of the cells, (k + 1,).
-        means: what each panel shows, and the means, (up, across); NaN where there are few readings.
-        floor: noise; colours are never stronger than it deserves.
+        means: name of each panel, and the means, (up, across); NaN where there are few readings.
+        floor: noise floor; limits the strength of the colours.
     """
     figure, axes = stacked(*[5.6] * len(means))
     most = max(floor, *(float(np.abs(mean[np.isfinite(mean)]).max(initial=0.0)) for _, mean in means), 1e-9)
@@ -289,15 +290,15 @@ def _short(value: float) -> str:
 
 @dataclass(frozen=True)
 class Stack:
-    """Means in stretches of a channel; where both directions were moved, each has bars of its own.
+    """Means in intervals of a channel; with motion in both directions, each has bars of its own.
 
     Attributes:
         along: name of the channel, with its unit.
         place, width: middle and width of each bar, (k,).
         parts: mean of each effect there, largest effect first, µm or µrad, (k,) each.
-        measured: mean measured there, (k,).
-        shows: share of the mean square of what is predicted that these means hold.
-        ways: whether bars of both directions stand beside each other.
+        measured: mean of the readings there, (k,).
+        shows: share of the prediction's mean square in these means.
+        ways: whether bars of both directions are beside each other.
     """
 
     along: str
@@ -316,9 +317,9 @@ def stack_along(
 
     Args:
         channel: name with unit, and value at each reading, (n,).
-        direction: -1 or +1, (n,), where bars of both are wanted.
-        parts: what each effect adds, (n,) each.
-        measured: (n,).
+        direction: -1 or +1, (n,), for bars of both directions; else None.
+        parts: contribution of each effect, (n,) each.
+        measured: readings, (n,).
     """
     cut = cut_into("T_", channel[1], BINS)
     if cut is None:
@@ -348,7 +349,7 @@ def stack_along(
 
 
 def draw_stack(ax: "Axes", unit: str, stack: Stack) -> None:
-    """Stack the effects, those above and those below zero by themselves; dots are what was measured."""
+    """Stack the effects, positive and negative ones separately; dots are the readings."""
     above, below = np.zeros(len(stack.place)), np.zeros(len(stack.place))
     for colour, values in zip(colours(len(stack.parts)), stack.parts.values(), strict=True):
         foot = np.where(values > 0.0, above, below)
@@ -368,7 +369,7 @@ def draw_stack(ax: "Axes", unit: str, stack: Stack) -> None:
 
 
 def colours(count: int) -> Sequence[str]:
-    """A colour for each effect; grey where there are more than can be told apart."""
+    """A colour for each effect; grey for those beyond the number of distinguishable colours."""
     return [*COLOURS, *[OTHERS] * count][:count]
 
 
@@ -382,11 +383,11 @@ def contributions(
     floor: float,
     stack: Stack | None = None,
 ) -> "MplFigure":
-    """What each effect adds: bars between what was measured and the residual; below, one on top of the other.
+    """Contributions of the effects: bars between those of readings and residual; below, stacked along a channel.
 
     Args:
-        title: of the figure.
-        unit: of the readings.
+        title: title of the figure.
+        unit: unit of the readings.
         rows: label, root mean square, largest size; in falling order.
         measured, residual, floor: root mean squares.
         stack: means along a channel, its effects in the order of `rows`.
@@ -408,7 +409,7 @@ def contributions(
     ax.axvspan(0.0, floor, color="#BBBBBB", alpha=0.6, zorder=3, linewidth=0)
     ax.set_yticks([])
     ax.set_xlim(0, 1.15 * most)
-    # Over the names too: beside them there is not always room.
+    # Across the names too: there is not always room beside them.
     figure.suptitle(f"{title}: what each effect adds", x=0.01, ha="left", fontsize=17, fontweight="bold")
     ax.set_xlabel(f"root mean square, {unit} (grey band: noise {floor:.2g} {unit})")
     ax.grid(visible=False, axis="y")

@@ -12,13 +12,13 @@ from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.words import MOST_NUMBERS, UNITS, fitted_numbers, hardly, labels, sentence
 from rtec.effects import Effect
 from rtec.report.evidence import evidence
-from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
 from rtec.wording import NONE, counted, decimals, number, percent, probability, sizes
 
 SHOWN, WHERE, BRIEF = 8, 5, 3
 BETTER = 0.005
-"""Share of the mean square; falls of less are none."""
+"""Smallest relative fall of the mean square that is shown."""
 
 
 def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
@@ -42,7 +42,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
             *_to_type(d),
             *_evidence(d, figures),
             *_confused(d),
-            *_absent(d),
+            *_undetected(d),
             *_untestable(d),
             Section("How the readings were treated", [*map(sentence, d.notes), *(f"{n}." for n in d.noise)]),
         ],
@@ -56,7 +56,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
 
 
 def _brief(d: Diagnosis) -> Table | None:
-    """The first candidates; none where there is none, or the record is in doubt."""
+    """Table of the first candidates; None where there are none, or the record is in doubt."""
     if not d.findings or any(b.blames_no_effect for b in d.doubts):
         return None
     shown = d.findings[:BRIEF]
@@ -75,7 +75,7 @@ def _brief(d: Diagnosis) -> Table | None:
 
 
 def _next(d: Diagnosis) -> list[str]:
-    """What adds the effect, separates the rivals, or refits the model."""
+    """Commands that add the effect, separate the rivals, or refit the model."""
     if not d.files:
         return []
     model, *data = d.files
@@ -88,19 +88,19 @@ def _next(d: Diagnosis) -> list[str]:
         rivals = [":".join(name) for name in dict.fromkeys(names)]
         if len(rivals) > 1:
             chosen = ",".join(rivals[:BRIEF])
-            return [typed("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", chosen)]
-        sure = not d.together  # forms of one effect, which is missing in any case
+            return [shell_command("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", chosen)]
+        sure = not d.together  # together: forms of one effect, which is missing in any case
     if sure and d.findings[0].partner is None:
-        return [typed("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
+        return [shell_command("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
     if d.verdict == "unknown_effect":
         return [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
     if d.verdict == "undecided" or (d.verdict == "nothing_missing" and not d.out_of_date):
         return []
-    return [typed("rtec", "improve", *d.files, "-o", better)]
+    return [shell_command("rtec", "improve", *d.files, "-o", better)]
 
 
 def as_typed(effect: Effect) -> list[str]:
-    """An effect as `rtec add` takes it."""
+    """An effect as arguments of `rtec add`."""
     given = effect.model_dump(mode="json", exclude={"effect", "component"}, exclude_none=True, exclude_defaults=True)
     if given.get("axis") == effect.component[2:].removeprefix("0"):
         del given["axis"]
@@ -197,7 +197,7 @@ def _candidates(d: Diagnosis) -> Table:
 
 
 def _doubt(d: Diagnosis, f: Finding) -> str:
-    """Why the first candidate was not accepted."""
+    """Reason why a candidate was not accepted."""
     if f.heldout_drop <= 0.0:
         return "does not lower the error on held-out runs or targets"
     if d.unknown is not None and d.adequacy is not None:
@@ -210,7 +210,7 @@ def _doubt(d: Diagnosis, f: Finding) -> str:
 
 
 def _short(d: Diagnosis, f: Finding) -> str:
-    """Why a candidate is preferred or not, for its bar."""
+    """Short reason why a candidate is preferred or not, for its bar."""
     if f.rank == 1 and f.accepted:
         return f"probability {probability(f.confidence)}"
     return (f.why_not or _doubt(d, f)).removesuffix(" than rank 1").removesuffix(" from these data")
@@ -230,7 +230,7 @@ def _confused(d: Diagnosis) -> list[Section]:
     return out
 
 
-def _absent(d: Diagnosis) -> list[Section]:
+def _undetected(d: Diagnosis) -> list[Section]:
     if not d.absent:
         return []
     smallest: dict[str, tuple[float, float, set[str]]] = {}
@@ -265,7 +265,7 @@ def _untestable(d: Diagnosis) -> list[Section]:
 
 
 def _hardly(name: str, of: Sequence[NotTestable], unit: str) -> list[str]:
-    """One row for an effect, whatever it feeds."""
+    """One row for an effect, for all its components together."""
     where = sorted({n.component for n in of})
     named = f"{name}({', '.join(where[:WHERE])}{' …' if len(where) > WHERE else ''})"
     usual, smallest = [n.usual or 0.0 for n in of], [n.smallest or 0.0 for n in of]

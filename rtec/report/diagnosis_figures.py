@@ -20,16 +20,16 @@ LEVEL_COLOURS = ("#3B1C8C", "#2A6FB0", "#1FA187", "#A8A800", "#D55E00")
 ROW_IN = 5.2
 LOOKS = {0: ("o", "-"), 1: ("^", "-"), -1: ("v", "--")}
 WAYS = {0: "", 1: ", moving +", -1: ", moving −"}
-"""Marker and line of both directions together, and of each; how they are called."""
+"""Marker, line and name of both directions together, and of each."""
 NO_BETTER = 0.005
-"""Share of the mean square; falls of less are none."""
+"""Smallest relative fall of the mean square that is shown."""
 LONG = 24
-"""Letters; longer names stand on two lines."""
+"""Largest number of letters of a name on one line; longer names are on two lines."""
 
 
 @as_png
 def evidence_figure(rows: Sequence[Evidence]) -> "MplFigure":
-    """The residual and what the finding explains of it, a row a reading column."""
+    """The residual and the part that the finding explains, one row a reading column."""
     figure = canvas(ROW_IN * len(rows))
     for part, row in zip(figure.subfigures(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
         part.suptitle(row.title, x=0.01, ha="left", fontsize=17, fontweight="bold")
@@ -54,7 +54,7 @@ def _draw_curves(ax: "Axes", row: Evidence) -> None:
                 label="residual of each reading")  # fmt: skip
     for curve, colour in zip(row.curves, _colours(row), strict=True):
         marker, line = LOOKS[curve.direction]
-        # White behind the line keeps it apart from the dots.
+        # White behind the line separates it from the dots.
         ax.plot(curve.place, curve.part, color="white", linewidth=6.0)
         ax.plot(curve.place, curve.part, color=colour, linestyle=line, linewidth=3.0)
         if len(curve.place) <= MOST_MARKERS:
@@ -77,7 +77,7 @@ def _draw_curves(ax: "Axes", row: Evidence) -> None:
 
 
 def _draw_causes(axes: "Sequence[Axes]", row: Evidence) -> None:
-    """What drives the finding, over the same time."""
+    """Draw the channels that drive the finding, over the same time."""
     order = np.argsort(row.dots[0], kind="stable")
     for ax, (name, value) in zip(axes, row.causes, strict=True):
         ax.plot(row.dots[0][order], value[order], color=GREY, drawstyle="steps-post")
@@ -86,7 +86,7 @@ def _draw_causes(axes: "Sequence[Axes]", row: Evidence) -> None:
 
 
 def _name_levels(ax: "Axes", row: Evidence) -> None:
-    """The value of the second variable at the end of its curve; moved up where two would lie on each other."""
+    """Write the value of the second variable at the end of its curve; moved up where two would overlap."""
     last = {c.level: (c, colour) for c, colour in zip(row.curves, _colours(row), strict=True) if c.level is not None}
     ends = sorted(last.items(), key=lambda item: float(item[1][0].part[-1]))
     values = [v for v, _ in ends]
@@ -101,10 +101,10 @@ def _name_levels(ax: "Axes", row: Evidence) -> None:
 
 
 def spread_out(heights: Sequence[float], least: float) -> list[float]:
-    """Rising heights, none nearer than `least` to the one below it, together as near to where they were as can be."""
+    """Rising heights with a distance of at least `least`, as near to the given ones as possible (least squares)."""
     step = least * np.arange(len(heights))
     level = np.asarray(heights, dtype=np.float64) - step
-    # The nearest rising sequence: neighbours that would cross share their mean.
+    # The nearest rising sequence: neighbours that would cross get their mean.
     blocks: list[list[float]] = []
     for value in level:
         blocks.append([float(value)])
@@ -115,12 +115,12 @@ def spread_out(heights: Sequence[float], least: float) -> list[float]:
 
 
 def decimals(step: float) -> int:
-    """Digits after the point that tell values apart which differ by a step."""
+    """Number of decimals that shows a difference of one step."""
     return max(0, -math.floor(math.log10(max(step, 1e-6))))
 
 
 def _colours(row: Evidence) -> list[str]:
-    """By level where there is a second variable, else by direction."""
+    """Colours of the curves: by level where there is a second variable, else by direction."""
     if not row.second:
         return [OFF if c.direction < 0 else ON for c in row.curves]
     levels = sorted({c.level for c in row.curves if c.level is not None})
@@ -129,7 +129,7 @@ def _colours(row: Evidence) -> list[str]:
 
 
 def _draw_amplitudes(ax: "Axes", unit: str, a: Amplitudes) -> None:
-    """Height of the shape against what sets it: dots from the residual, the line from the finding."""
+    """Draw the size of the shape over the variable that sets it: dots from the residual, the line from the finding."""
     ax.plot(a.value, a.explained, color=OFF, linewidth=3.0, label="explained")
     ax.errorbar(a.value, a.measured, 2.0 * a.error, linestyle="", marker="o", markersize=9, color=ON,
                 markeredgecolor="white", capsize=4, elinewidth=1.6, label="residual, ± 2 std. errors")  # fmt: skip
@@ -143,11 +143,11 @@ def _draw_amplitudes(ax: "Axes", unit: str, a: Amplitudes) -> None:
 
 @as_png
 def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
-    """How much of the residual each candidate explains on held-out runs: bars, best on top.
+    """Bars of the share of the residual that each candidate explains on held-out runs, best on top.
 
     Args:
-        rows: label, relative fall of the mean square, whether it is of the winner's group, and why it is preferred or
-            not, in few words.
+        rows: label, relative fall of the mean square, whether it belongs to the winner's group, and a short reason why
+            it is preferred or not.
     """
     figure, (ax,) = stacked(0.74 * len(rows) + 2.0)
     groups = (("named, or confounded with what is named", ON, ""), ("not preferred", "#BBBBBB", "//"))
@@ -167,7 +167,7 @@ def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
                     fontsize=17, fontweight="bold")  # fmt: skip
     ax.set_xlabel("fall of the mean square residual on held-out runs, %")
     ax.grid(visible=False, axis="y")
-    # Once each, in the order of the list, above the bars: there is always room.
+    # One entry each, in the order of the list, above the bars, where there is always room.
     handles, names = ax.get_legend_handles_labels()
     once = dict(zip(names, handles, strict=True))
     kept = [n for n, _, _ in groups if n in once]
@@ -177,5 +177,5 @@ def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
 
 
 def _on_two(name: str) -> str:
-    """A long label on two lines: at the bracket."""
+    """A long label, broken into two lines at the bracket."""
     return name.replace("(", "\n(", 1) if len(name) > LONG else name

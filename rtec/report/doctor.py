@@ -1,4 +1,4 @@
-"""Pages of the doctor: the devices of a run file, and this computer with what it lacks for real time."""
+"""Pages of the doctor: the devices of a run file, and this computer's settings for real time."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ WORDS = (0, 1, 2, 6)
 
 
 def doctor_page(found: Examination) -> Page:
-    """Values of all devices in one table; then, device by device, what is wrong and how to mend it."""
+    """Values of all devices in one table; then, device by device, faults and remedies."""
     sick = [d for d in found.devices if d.wrong]
     verdict = f"Of {_devices(len(found.devices))} {_are(len(sick))} not well." if sick else "All devices are well."
     sections = [Section("What they read", (), doctor_table(found.devices))]
@@ -26,7 +26,7 @@ def doctor_page(found: Examination) -> Page:
 
 
 def doctor_table(devices: Sequence[DeviceFound]) -> Table:
-    """One row a value; a device that gives none has one row that says so."""
+    """One row a value; a device without values has one row with its state."""
     return Table(HEAD, [row for device in devices for row in _rows(device)], words=WORDS)
 
 
@@ -49,7 +49,7 @@ def _age(age_s: float | None) -> str:
 
 
 def _fault_lines(faults: Sequence[DeviceFault]) -> list[str]:
-    """What is wrong, each with the ways to mend it below."""
+    """Lines of faults, each followed by its remedies."""
     return ["\n    → ".join((f.what, *f.mend)) for f in faults]
 
 
@@ -65,7 +65,7 @@ STATES = {"good": "good", "better": "could be better", "wrong": "wrong", "unknow
 
 
 def pc_page(found: PcFound) -> Page:
-    """What was found in one table; then what to write where."""
+    """Findings in one table; then the settings to change, with their files."""
     wrong = [f for f in found.findings if f.state == "wrong"]
     better = [f for f in found.findings if f.state == "better"]
     lead = "This computer: " + _verdict(wrong, better)

@@ -22,13 +22,13 @@ def drivers_page(drivers: Sequence[DriverFacts]) -> Page:
 
 
 def driver_row(driver: DriverFacts) -> tuple[str, str, str, str]:
-    """Name, what it reads, what it takes, what it is."""
+    """Row of a driver: name, its readings, its outputs, description."""
     reads = ", ".join(role for role in driver.roles if role != "actuator")
     return driver.name, reads or "-", _takes(driver), driver.summary
 
 
 def driver_page(driver: DriverFacts) -> Page:
-    """One driver in full; its example is printed below, as it stands."""
+    """One driver in full; the command prints its example below, unchanged."""
     if driver.trouble:
         return Page(driver.name, driver.trouble, (), ())
     text = [f"Roles in [role]: {', '.join(driver.roles) or 'nothing'}."]
@@ -45,7 +45,7 @@ def driver_page(driver: DriverFacts) -> Page:
 
 
 def _by_table(options: Sequence[Option]) -> list[tuple[str, list[Option]]]:
-    """Options by the table that they stand in: the device's own first, then those within it in their order."""
+    """Options by their table: the device's own first, then nested tables in their order."""
     out: dict[str, list[Option]] = {}
     for option in options:
         out.setdefault(option.name.rpartition(".")[0], []).append(option)

@@ -45,11 +45,11 @@ NEEDS = {
     "time_s": "time",
     "other axis": "the other axis' position",
 }
-"""Words of `driven_by` that are not said as they stand; `pitch` is the machine file's, it does not vary."""
+"""Phrases for words of `driven_by`; `pitch` is from the machine file and does not vary."""
 
 
 def families() -> dict[str, dict[str, About]]:
-    """Everything that is told about, by family: built-in effects, those of other packages, and what is no effect."""
+    """Descriptions by family: built-in effects, those of other packages, and artefacts that are no effects."""
     out = {family: {name: EFFECTS[name].about for name in names} for family, names in FAMILIES.items()}
     added = {name: kind.about for name, kind in all_effects().items() if name not in EFFECTS}
     if added:
@@ -107,7 +107,7 @@ def _looked_up(name: str) -> tuple[About, type[Effect] | None]:
 
 
 def _more(kind: type[Effect] | None) -> list[str]:
-    """What the class says about itself beyond its first line."""
+    """Paragraphs of the class's docstring after the first one."""
     paragraphs = (inspect.getdoc(kind) or "").split("\n\n")[1:] if kind is not None else []
     return [" ".join(p.split()).replace("`", "") for p in paragraphs]
 
@@ -117,7 +117,7 @@ def _sentence(text: str) -> str:
 
 
 def _in_a_model(kind: type[Effect]) -> Iterator[Section]:
-    """Parameters and arguments."""
+    """Sections on parameters and arguments."""
     linear, free = _parameters(kind)
     rows = [(p.name, spoken(p.unit), f"{p.typical:g}", "", "fitted, linear") for p in linear]
     rows += [(p.name, spoken(p.unit), f"{p.start:g}", _bounds(p), f"searched for{form}") for p, form in free]
@@ -128,7 +128,7 @@ def _in_a_model(kind: type[Effect]) -> Iterator[Section]:
 
 
 def _parameters(kind: type[Effect]) -> tuple[tuple[Parameter, ...], list[tuple[Parameter, str]]]:
-    """The linear parameters; the others, each with the form that has it, as ", with lag = true"."""
+    """The linear parameters; the others, each with the form of the effect that has it, as ", with lag = true"."""
     machine = example_machine()
     effect = example_of(kind, machine)
     if effect is None:
@@ -146,7 +146,7 @@ def _bounds(p: Parameter) -> str:
 
 
 def _arguments(kind: type[Effect]) -> Iterator[tuple[str, str]]:
-    """Arguments and their defaults as in a model file; "" where one must be given."""
+    """Arguments and their defaults as in a model file; "" for a required one."""
     for key, field in kind.model_fields.items():
         if key == "effect":
             continue

@@ -1,7 +1,7 @@
-"""The shape of an effect, its error over what drives it: with braille dots for a terminal, as a PNG for a page.
+"""The shape of an effect, its error over its driver: with braille dots for a terminal, as a PNG for a page.
 
-The shape is made of the effect's own basis functions with usual sizes on an example machine, so a plug-in has one too.
-Curves after the first are dashed, so that they differ without colour.
+The shape comes from the effect's own basis functions with usual sizes on an example machine, so that a plug-in has one,
+too. Curves after the first are dashed, so that they differ without colour.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,12 +33,12 @@ REFERENCE_DEGC = 20.0
 SENSORS = ("T_front", "T_back", "T_spindle", "T_air", "T_coolant")
 TRAVEL_MM = (0.0, 400.0)
 FIRST = ("EXX", "EYX", "EBX", "EAX", "EYZ", "EC0Y", "EA0Z", "EZ0spindle", "EB0spindle")
-"""Components in the order in which an effect is asked whether it feeds them."""
+"""Components in the order in which the example of an effect is looked for."""
 
 
 @dataclass(frozen=True)
 class EffectCurve:
-    """One line: what is held the while, in words ("" where nothing is), and the error (n,)."""
+    """One curve: the held channels in words ("" for none), and the error, (n,)."""
 
     held: str
     error: Floats
@@ -49,12 +49,12 @@ class EffectShape:
     """Curves of an effect.
 
     Attributes:
-        component: error that the example feeds.
-        unit: of the error, "µm" or "µrad".
-        over: what the error is drawn over, with its unit.
-        x: (n,).
-        curves: one or more.
-        sizes: the parameters that it was drawn with, in words.
+        component: component error of the example.
+        unit: unit of the error, "µm" or "µrad".
+        over: variable of the horizontal axis, with its unit.
+        x: its values, (n,).
+        curves: one or more curves.
+        sizes: the parameters of the example, in words.
     """
 
     component: str
@@ -75,7 +75,7 @@ def example_machine() -> Machine:
 
 
 def shape_of(kind: type[Effect]) -> EffectShape | None:
-    """Give the shape of an effect; None where it has none of its own, as the user's expression has not."""
+    """The shape of an effect; None where it has none, as the user's expression."""
     machine = example_machine()
     effect = example_of(kind, machine)
     if effect is None:
@@ -92,12 +92,12 @@ def shape_of(kind: type[Effect]) -> EffectShape | None:
 
 
 def example_of(kind: type[Effect], machine: Machine) -> Effect | None:
-    """An instance on the example machine; None where its arguments have no usual values, as an expression's."""
+    """An instance on the example machine; None where its arguments have no usual values, as an expression."""
     return next(_instances(kind, machine), None)
 
 
 def _instances(kind: type[Effect], machine: Machine) -> Iterator[Effect]:
-    """What it suggests where everything varies; then the plainest that it takes."""
+    """Instances that the effect suggests if everything varies; then those with the simplest arguments."""
     everything = dict.fromkeys(machine.channel_names, TRAVEL_MM)
     for component in (*FIRST, *machine.components):
         axis = next((a for a in machine.axes if component[2:] == a.name), None)
@@ -123,7 +123,7 @@ def _stands(effect: Effect, machine: Machine) -> bool:
 
 @dataclass(frozen=True)
 class _View:
-    """What runs along the drawing, and for each curve what is held, in words, and the channels (n,)."""
+    """Variable of the horizontal axis, and for each curve the held channels in words, and all channels, (n,)."""
 
     over: str
     x: Floats
@@ -131,7 +131,7 @@ class _View:
 
 
 def _view(effect: Effect, machine: Machine, theta: Mapping[str, float]) -> _View:
-    """What the effect is drawn over: the quickest thing that drives it; the next one is held at two or three values."""
+    """The view of an effect: over its fastest driver, with the next one held at two or three values."""
     names = effect.channels(machine)
     if "tau" in theta and not set(names) & set(machine.moving_channels) - {a.channel for a in machine.axes}:
         return _over_time(names, machine, 4.0 * theta["tau"] / 3600.0)
@@ -149,7 +149,7 @@ def _view(effect: Effect, machine: Machine, theta: Mapping[str, float]) -> _View
 def _runs(
     own: Axis, names: tuple[str, ...], theta: Mapping[str, float], effect: Effect
 ) -> Iterator[tuple[str, Floats, str]]:
-    """What may run along the drawing, best first: words, values, channel."""
+    """Possible variables of the horizontal axis, best first: words, values, channel."""
     wave = theta.get("pitch") or theta.get("period") or getattr(effect, "lambda_mm", None)
     far = 3.0 * wave if wave else TRAVEL_MM[1]
     v_s = theta.get("v_s")
@@ -173,7 +173,7 @@ def _runs(
 
 
 def _held(own: Axis, names: tuple[str, ...], machine: Machine, running: str) -> list[tuple[str, Mapping[str, Floats]]]:
-    """Curves: what else drives the effect, held at a few values."""
+    """Curves: the effect's other driver, held at a few values."""
     temperatures = [n for n in names if n in SENSORS and n != running]
     other = next((a for a in machine.axes if a is not own and a.channel in names), None)
     if own.direction_channel in names:
@@ -202,7 +202,7 @@ def _both_ways(own: Axis, names: tuple[str, ...]) -> tuple[tuple[str, Mapping[st
 
 
 def _over_time(names: tuple[str, ...], machine: Machine, hours: float) -> _View:
-    """The cause is switched on at a tenth of the time and off after the half: a lag shows."""
+    """A view over time: the driver is on from a tenth of the time to the half, so that a lag shows."""
     x = np.linspace(0.0, 2.0 * hours, POINTS)
     on = np.where((x > 0.1 * x[-1]) & (x < 0.55 * x[-1]), 1.0, 0.0)
     channels = {**_still(names, machine), "spindle_rpm": 3000.0 * on}
@@ -222,7 +222,7 @@ def _full(value: float) -> Floats:
 
 
 def _factors(n: int) -> Floats:
-    """Sizes of several coefficients against the usual one: all of that order, no two alike, so that none hides."""
+    """Sizes of several coefficients relative to the usual one: similar but different, so that no two cancel."""
     return np.asarray(np.cos(2.4 * np.arange(n)))
 
 
@@ -264,7 +264,7 @@ def sketch(shape: EffectShape, columns: int = 60, rows: int = 10) -> list[str]:
 
     Args:
         shape: what to draw.
-        columns, rows: size of the drawing in characters; the scale beside it comes on top.
+        columns, rows: size of the drawing in characters, without the scale beside it.
     """
     low, high = _ends(shape)
     dots = np.zeros((4 * rows, 2 * columns), dtype=bool)
@@ -288,11 +288,11 @@ def sketch(shape: EffectShape, columns: int = 60, rows: int = 10) -> list[str]:
 
 @as_png
 def figure(title: str, equation: str, shape: EffectShape) -> "MplFigure":
-    """Give the shape as a PNG.
+    """The shape as a PNG.
 
     Args:
-        title: what the effect is called in words.
-        equation: as text.
+        title: the effect in words.
+        equation: equation as text.
         shape: what to draw.
     """
     canvas, (ax,) = stacked(5.0)
@@ -306,7 +306,7 @@ def figure(title: str, equation: str, shape: EffectShape) -> "MplFigure":
 
 
 def sketch_of(name: str) -> list[str]:
-    """The drawing for the terminal of an effect by its name; nothing where it has no shape of its own."""
+    """The drawing for the terminal of an effect by its name; empty where it has no shape."""
     kind = all_effects().get(name)
     shape = shape_of(kind) if kind is not None else None
     if shape is None:
@@ -318,7 +318,7 @@ def write_figure(name: str, path: Path) -> None:
     """Write the picture of an effect as a PNG.
 
     Raises:
-        ConfigError: it has no shape of its own, or the file cannot be written.
+        ConfigError: the effect has no shape, or the file cannot be written.
     """
     kind = all_effects().get(name)
     shape = shape_of(kind) if kind is not None else None
@@ -342,7 +342,7 @@ def _plot(ax: "Axes", shape: EffectShape) -> None:
 
 
 def _ends(shape: EffectShape) -> tuple[float, float]:
-    """Ends of the scale: hold every value and zero, with two digits; a little apart where all is zero."""
+    """Ends of the scale, with two digits: include every value and zero; different even where all values are zero."""
     low = min(0.0, *(float(c.error.min()) for c in shape.curves))
     high = max(0.0, *(float(c.error.max()) for c in shape.curves))
     size = max(high - low, 1e-12)
@@ -356,7 +356,7 @@ def _row(value: float, low: float, high: float, rows: int) -> int:
 
 
 def _draw(dots: NDArray[np.bool_], curve: EffectCurve, low: float, high: float, on: int, off: int) -> None:
-    """Set the dots of a curve; steps are joined by a vertical line."""
+    """Set the dots of a curve; vertical lines join steps."""
     rows, columns = dots.shape
     place = np.linspace(0.0, len(curve.error) - 1.0, columns)
     values = np.interp(place, np.arange(len(curve.error)), curve.error)

@@ -1,8 +1,8 @@
-"""Which curves show a finding: the residual against the one variable that drives it, or a family of such curves.
+"""Chooses the curves that show a finding: the residual over the variable that drives it, or a family of such curves.
 
-A figure speaks where what the finding explains is a line, not a cloud. So it is asked of the numbers themselves what
-that line can be drawn over, the plainest first: one variable; a position with a second variable held at some levels;
-time, with what drives the finding below it; and where none of them will do, what the finding explains itself.
+A figure is clear if the explained part is a line in it, not a cloud. So the numbers decide the variable of the axis,
+the simplest one first: one variable; a position with a second variable held at some levels; time, with the drivers of
+the finding below; and if none of these shows a line, the explained part itself.
 """
 
 from collections.abc import Sequence
@@ -19,33 +19,33 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PLACES, STRETCHES, MOST_TIMES = 120, 40, 300
-"""Different values up to which each is a place of its own; where there are more, stretches of equally many readings;
-how many of these in time, where quick changes are to be seen."""
+"""Largest number of different values that are each a place of their own; number of intervals with equally many readings
+where there are more; and that number over time, which must show fast changes."""
 MOST_CAUSES, FEW_PLACES = 2, 2
 LEVELS, GROUPS = 5, 12
-"""Levels of the second variable that get a curve each; groups of readings that get an amplitude each."""
+"""Number of levels of the second variable, with a curve each; number of groups of readings, with an amplitude each."""
 ENOUGH, ENOUGH_OF_TWO = 0.97, 0.8
-"""Share of what a finding explains that a line over one variable, or one over each level of a second, must show."""
+"""Share of the explained part that a line over one variable, or one for each level of a second variable, must show."""
 BETTER = 0.03
-"""Of that share: what a variable later in the list must show more than an earlier one, and directions than none."""
+"""Gain of that share with which a later variable in the list is preferred, and curves for each direction are."""
 ALIKE = 0.05
-"""Share of the mean square by which curves may differ in shape and still be one shape of several sizes."""
+"""Largest share of the mean square by which curves differ and still count as one shape with several sizes."""
 PLACED = ("mm", "deg")
 FOLDED = 4.0
-"""Periods of a wave from which on all are drawn over one."""
+"""Number of periods above which a wave is drawn over one period."""
 SECONDS_PER_H = 3600.0
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Readings that belong together, by place.
+    """One curve: means of the readings by place.
 
     Attributes:
-        direction: +1 or -1 where both directions are apart; 0 for both.
+        direction: +1 or -1 where directions have separate curves; else 0.
         level: mean of the second variable; None where there is none.
-        place: rising, (k,).
+        place: places, rising, (k,).
         residual, spread: mean and standard deviation of the residuals there, (k,).
-        part: mean of what the finding explains there, (k,).
+        part: mean of the explained part there, (k,).
     """
 
     direction: int
@@ -58,13 +58,13 @@ class Curve:
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """How large one shape is, group by group, against the variable that sets its size.
+    """Size of one shape, group by group, against the variable that sets it.
 
     Attributes:
         below: title of the lower axis.
         value: mean of that variable, rising, (g,).
-        measured, error: height of the shape in the residual, from its lowest to its highest, and its standard error.
-        explained: the same of what the finding explains, (g,).
+        measured, error: range of the shape in the residual, and its standard error, (g,).
+        explained: range of the shape in the explained part, (g,).
     """
 
     below: str
@@ -76,17 +76,17 @@ class Amplitudes:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is drawn of one reading column.
+    """Content of the figure for one reading column.
 
     Attributes:
-        title: of the panel.
-        unit: of the readings, for people.
+        title: title of the panel.
+        unit: unit of the readings, for people.
         below: title of the lower axis.
-        curves: one, or one each direction and level.
+        curves: one, or one for each direction and level.
         dots: place and residual of every reading, (n,) each.
         second: title of the second variable; empty where there is none.
-        amplitudes: where the curves are one shape of several sizes.
-        causes: title and values, (n,), of what drives the finding, where it is drawn over time.
+        amplitudes: sizes of the shape, where the curves are one shape with several sizes.
+        causes: title and values, (n,), of the drivers of the finding, where it is drawn over time.
     """
 
     title: str
@@ -103,8 +103,8 @@ class Evidence:
 class _Variable:
     """A driver: title of its axis, value and place of each reading, (n,), and whether it is a position.
 
-    A shape over positions may be as rough as it likes. What is rough over anything else is not drawn over it: each run
-    has a temperature of its own, by which alone it would be known again.
+    A shape over positions may be rough. A rough shape over another variable is rejected: each run has a temperature of
+    its own, which would then only identify the run.
     """
 
     title: str
@@ -114,8 +114,8 @@ class _Variable:
 
 
 def evidence(p: Picture) -> Evidence:
-    """What shows a finding in one reading column."""
-    moved = [_variable(*_folded(p, *d), d[1] in PLACED) for d in p.drivers if np.ptp(d[2]) > 0.0]
+    """The evidence of a finding in one reading column."""
+    moved = [_variable(*_within_one_period(p, *d), d[1] in PLACED) for d in p.drivers if np.ptp(d[2]) > 0.0]
     places_first = [d for d in moved if d.position]
     drivers = [*places_first, *_differences(p), *(d for d in moved if not d.position)]
     title = "time since the first reading, hours"
@@ -138,13 +138,13 @@ def _over(p: Picture, over: _Variable, second: _Variable | None = None) -> Evide
 
 
 def _differences(p: Picture) -> list[_Variable]:
-    """Differences of two temperatures: what bends a machine."""
+    """Differences of two temperatures, which bend a machine."""
     warm = [(name, value) for name, unit, value in p.drivers if unit == "degC"]
     return [_variable(f"{one} − {two}, K", a - b) for (one, a), (two, b) in combinations(warm, 2)]
 
 
-def _folded(p: Picture, channel: str, unit: str, value: Floats) -> tuple[str, Floats]:
-    """Title and values of a driver; a wave of many periods within one of them, where all lie on each other."""
+def _within_one_period(p: Picture, channel: str, unit: str, value: Floats) -> tuple[str, Floats]:
+    """Title and values of a driver; for a wave of many periods the position within one period."""
     title = titled(channel, unit)
     along = next((name for name, code, _ in p.drivers if code == "mm"), None)
     if channel == along and p.period_mm is not None and float(np.ptp(value)) > FOLDED * p.period_mm:
@@ -157,26 +157,26 @@ def _variable(title: str, value: Floats, position: bool = False) -> _Variable:
 
 
 def places(value: Floats, most: int = PLACES, stretches: int = STRETCHES) -> Ints:
-    """Place of each value, counted from 0 in rising order, (n,): its own, or a stretch where there are too many."""
+    """Index of each value's place, from 0 in rising order, (n,): one a value, or intervals where there are too many."""
     step = max(float(np.ptp(value)), 1e-12) / 2000.0
     levels, code = np.unique(np.round(value / step), return_inverse=True)
     if len(levels) <= most:
         return np.asarray(code, dtype=np.int64)
-    # What is equal stays together: all of it is where the first of it is.
+    # Equal values stay together: all get the place of the first one.
     before = np.concatenate([[0], np.cumsum(np.bincount(code))[:-1]])
     stretch = before[code] * min(stretches, len(value)) // len(value)
     return np.asarray(np.unique(stretch, return_inverse=True)[1], dtype=np.int64)
 
 
 def _first_good(p: Picture, choices: Sequence[tuple[_Variable, ...]], enough: float) -> tuple[_Variable, ...] | None:
-    """The first of the choices that shows enough, and hardly less than the best of them."""
+    """The first of the choices that shows enough, and nearly as much as the best one."""
     shown = [_shown(p, *c) for c in choices]
     best = max(shown, default=0.0)
     return next((c for c, s in zip(choices, shown, strict=True) if s >= max(enough, best - BETTER)), None)
 
 
 def _shown(p: Picture, over: _Variable, second: _Variable | None = None) -> float:
-    """Share of what the finding explains that curves over one variable show, at some levels of a second."""
+    """Share of the explained part that curves over one variable show, at some levels of a second one."""
     code = over.code if second is None else over.code * LEVELS + places(second.value, LEVELS, LEVELS)
     side = _side_that_matters(p, code)
     rough = 0.0 if over.position or second else roughness(p.part, over.value, over.code, side)
@@ -184,11 +184,11 @@ def _shown(p: Picture, over: _Variable, second: _Variable | None = None) -> floa
 
 
 def roughness(part: Floats, value: Floats, code: Ints, side: Ints) -> float:
-    """How little the mean at a place is what its neighbours say: 0 for a straight line, 1 for chance.
+    """Deviation of the mean at a place from the interpolation of its neighbours: 0 for a straight line, 1 for noise.
 
     Args:
-        part: (n,).
-        value, code: of the variable, and place of each reading, (n,).
+        part: the explained part, (n,).
+        value, code: value of the variable, and place of each reading, (n,).
         side: direction of each reading, 0 or 1, (n,): neighbours are of one direction.
     """
     cell, at = np.unique(side * (int(code.max()) + 1) + code, return_inverse=True)
@@ -201,30 +201,30 @@ def roughness(part: Floats, value: Floats, code: Ints, side: Ints) -> float:
         return 0.0
     near = (x[inner] - x[inner - 1]) / (x[inner + 1] - x[inner - 1])
     off = y[inner] - (1.0 - near) * y[inner - 1] - near * y[inner + 1]
-    # Of independent values, the variance of such a difference is that of one and, on average, half of it more.
+    # For independent values the variance of such a difference is 1.5 times that of one value, on average.
     return float(np.mean(off**2)) / (1.5 * whole)
 
 
 def _side(p: Picture) -> Ints:
-    """0 or 1 by direction, (n,); all 0 where it is not known."""
+    """0 or 1 by direction, (n,); all 0 where it is unknown."""
     if p.direction is None:
         return np.zeros(len(p.part), dtype=np.int64)
     return (p.direction > 0).astype(np.int64)
 
 
 def _side_that_matters(p: Picture, code: Ints) -> Ints:
-    """The direction of each reading where the cells differ by it; all 0 where they do not."""
+    """0 or 1 by direction, (n,), where the cells' means depend on it; else all 0."""
     side = _side(p)
     return side if explained(p.part, code, side) > explained(p.part, code) + BETTER else 0 * side
 
 
 def explained(part: Floats, code: Ints, side: Ints | int = 0) -> float:
-    """Share of the variance of a part that is in the means of its cells, less what as many cells hold by chance.
+    """Share of a part's variance in the means of its cells, minus the share by noise alone in as many cells.
 
     Args:
-        part: (n,).
+        part: the explained part, (n,).
         code: cell of each reading, (n,).
-        side: direction of each reading, 0 or 1, (n,): its cells are apart.
+        side: direction of each reading, 0 or 1, (n,), which has cells of its own.
     """
     _, cell = np.unique(2 * code + side, return_inverse=True)
     free = len(part) - 1 - int(cell.max())
@@ -246,12 +246,12 @@ def _curves(p: Picture, over: _Variable, second: _Variable | None = None, *, apa
             if len(rows):
                 mean = None if second is None else float(second.value[rows].mean())
                 out.append(_curve(p, over, rows, (1 if way else -1) if side.any() else 0, mean))
-    # A level at which too little was read has no curve.
+    # A level with too few readings has no curve.
     return tuple(c for c in out if len(c.place) > FEW_PLACES) or tuple(out)
 
 
 def _levels(p: Picture, second: _Variable) -> Ints:
-    """Level of each reading, evenly spread over the second variable, (n,); a run is of one level as a whole."""
+    """Level of each reading, evenly spread over the second variable, (n,); a whole run has one level."""
     group = _groups(p, second)
     mean = np.bincount(group, weights=second.value) / np.bincount(group)
     level = np.round((mean - mean.min()) / max(float(np.ptp(mean)), 1e-12) * (LEVELS - 1))
@@ -271,7 +271,7 @@ def _curve(p: Picture, over: _Variable, rows: Ints, direction: int, level: float
 
 
 def _amplitudes(p: Picture, over: _Variable, second: _Variable) -> Amplitudes | None:
-    """The height of the shape in each run, or each stretch of the second variable; None where shapes differ."""
+    """Size of the shape in each run, or in each interval of the second variable; None where shapes differ."""
     group = _groups(p, second)
     shape = _shape(p, over, group)
     if shape is None:
@@ -291,7 +291,7 @@ def _amplitudes(p: Picture, over: _Variable, second: _Variable) -> Amplitudes | 
 
 
 def _groups(p: Picture, second: _Variable) -> Ints:
-    """Runs, where the second variable hardly changes within one; else stretches of it."""
+    """Group of each reading, (n,): its run, if the second variable hardly changes in one; else an interval of it."""
     runs = np.unique(p.run, return_inverse=True)[1]
     if int(runs.max()) + 1 >= LEVELS:
         mean = np.bincount(runs, weights=second.value) / np.bincount(runs)
@@ -301,7 +301,7 @@ def _groups(p: Picture, second: _Variable) -> Ints:
 
 
 def _shape(p: Picture, over: _Variable, group: Ints) -> Floats | None:
-    """The shape at every reading, from lowest to highest 1: that of the group in which it is largest, (n,)."""
+    """The shape at every reading, with a range of 1, (n,): that of the group in which it is largest."""
     cell = 2 * over.code + _side_that_matters(p, over.code * (int(group.max()) + 1) + group)
     sizes = [float(np.var(p.part[group == g])) for g in range(int(group.max()) + 1)]
     rows = np.flatnonzero(group == int(np.argmax(sizes)))
@@ -314,7 +314,7 @@ def _shape(p: Picture, over: _Variable, group: Ints) -> Floats | None:
 
 
 def _height(shape: Floats, value: Floats) -> tuple[float, float]:
-    """How many times the shape is in values, beside a constant, and the standard error of it."""
+    """Coefficient of the shape in some values, beside a constant, and its standard error."""
     about = shape - shape.mean()
     times = float(about @ value) / float(about @ about)
     left = _misfit(shape, value)

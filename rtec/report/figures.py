@@ -1,7 +1,7 @@
-"""Paper and style of all figures, which are read at arm's length: large type, names at the lines, units on every axis.
+"""Size and style of all figures, for reading at arm's length: large type, names at the lines, units on every axis.
 
-Colours are those of Okabe and Ito, which everybody tells apart; marker and line differ too, so that a print without
-colour is enough. Only arrays come in: this layer knows nothing of who draws.
+Colours are those of Okabe and Ito, which everybody can distinguish; markers and lines differ, too, so that a print
+without colour is enough. The input is arrays only: this module does not depend on its callers.
 """
 
 import functools
@@ -46,20 +46,20 @@ KINDS: tuple[dict[str, Any], ...] = (
 )
 WIDTH_IN = 11.0
 LETTER, MIN_LETTERS, LABELS_IN = 0.62, 12, 1.3
-"""Width of a bold letter in its size; letters that a line of a title has at least; room for the labels of a scale."""
+"""Width of a bold letter in its size; fewest letters in a line of a title; room for the labels of a scale."""
 P = ParamSpec("P")
 
 
 class Png(bytes):
-    """A figure as PNG; `figure` is what matplotlib drew, for whoever wants to change it."""
+    """A figure as PNG; `figure` is matplotlib's figure, for changes."""
 
     figure: "MplFigure"
 
 
 def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, Png]:
-    """Make of a function that draws a figure one that gives it as a PNG, in this file's style.
+    """Decorate a function that draws a figure, so that it gives a PNG in this module's style.
 
-    matplotlib's own style is left as it was. `inspect.unwrap` gives the function that draws.
+    matplotlib's global style does not change. `inspect.unwrap` gives the original function.
     """
 
     @functools.wraps(draw)
@@ -71,11 +71,11 @@ def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, Png]:
         with rc_context(STYLE):
             figure = draw(*args, **kwargs)
             for text in figure.findobj(Text):
-                if words := text.get_text():  # names from files are no formulas, and may be of what no font has
+                if words := text.get_text():  # no formulas; may have characters that no font has
                     text.set_text(clean_lines(words))
                     text.set_parse_math(False)
                     if text.get_fontweight() == "bold":
-                        text.set_text(_folded(text))
+                        text.set_text(_wrapped_title(text))
             figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
         png = Png(out.getvalue())
         png.figure = figure
@@ -84,8 +84,8 @@ def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, Png]:
     return drawn
 
 
-def _folded(title: "Text") -> str:
-    """A title on as many lines as it needs; its panel is as wide as the figure, or shares it with those beside it."""
+def _wrapped_title(title: "Text") -> str:
+    """A title with line breaks; its panel has the width of the figure, or a share of it."""
     spec = title.axes.get_subplotspec() if title.axes else None
     room_pt = 72.0 * (WIDTH_IN / (spec.get_geometry()[1] if spec else 1) - LABELS_IN)
     return fill(title.get_text(), max(MIN_LETTERS, int(room_pt / (LETTER * float(title.get_fontsize())))))
@@ -103,13 +103,13 @@ def canvas(height_in: float) -> "MplFigure":
 
 
 def stacked(*heights_in: float, share: bool = False) -> "tuple[MplFigure, Sequence[Axes]]":
-    """A figure with panels of these heights, one below the other; they may share what is drawn over."""
+    """A figure with panels of these heights, one below the other; they may share the horizontal axis."""
     figure = canvas(sum(heights_in))
     axes = figure.subplots(len(heights_in), 1, squeeze=False, sharex=share, height_ratios=heights_in)
     return figure, list(axes[:, 0])
 
 
 def room_above(ax: "Axes", share: float, below: float = 0.0) -> None:
-    """Widen the vertical scale by shares of itself, so that names have room over and under what is drawn."""
+    """Extend the vertical scale by shares of itself, so that names have room above and below the curves."""
     low, high = ax.get_ylim()
     ax.set_ylim(low - below * (high - low), high + share * (high - low))

@@ -7,15 +7,15 @@ from rtec.characterise.result import Coefficient
 from rtec.diagnosis.words import spoken
 from rtec.estimation.outliers import left_out
 from rtec.report.figures import Png
-from rtec.report.page import Figure, Page, Section, Table, note_words, typed
+from rtec.report.page import Figure, Page, Section, Table, note_words, shell_command
 from rtec.version import __version__
 from rtec.wording import NONE, counted, decimals, number, significant, sizes, with_error
 
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 WORTH_TELLING = 0.3
-"""Correlations nearer to zero are shown as none."""
+"""Correlations nearer to zero than this are not shown."""
 SURE = 3.0
-"""A coefficient within so many standard errors of zero is not sure to be there."""
+"""A coefficient is not significant within this many standard errors of zero."""
 
 
 def fit_page(r: Characterisation, figures: bool = True) -> Page:
@@ -59,7 +59,7 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
             f"rtec {__version__}, rtec fit; procedure of [G 3.6].",
         ],
         brief=Section("", [], _brief(r)),
-        next=[typed("rtec", "compare", *r.files)] if r.files else [],
+        next=[shell_command("rtec", "compare", *r.files)] if r.files else [],
     )
 
 

@@ -1,4 +1,4 @@
-"""Figures of a characterisation. Only arrays come in, PNG goes out."""
+"""Figures of a characterisation, from arrays to PNG."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @as_png
 def falling(inside: Floats, held_out: Floats) -> "MplFigure":
-    """Error against number of terms, in sample and held out, % of that of nothing, on a logarithmic scale."""
+    """Error against number of terms, in sample and held out, % of that without terms, on a logarithmic scale."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     figure, (ax,) = stacked(4.6)
@@ -36,7 +36,7 @@ def falling(inside: Floats, held_out: Floats) -> "MplFigure":
 
 @as_png
 def residuals(panels: Sequence[tuple[str, str, Floats, Floats]]) -> "MplFigure":
-    """Residuals reading by reading, one panel a measurement.
+    """Residuals of all readings, one panel a measurement.
 
     Args:
         panels: measurement, unit, hours (n,), residuals (readings, n).

@@ -1,4 +1,4 @@
-"""Report of grid-encoder set-ups, each by itself and compared."""
+"""Report of grid-encoder set-ups, each alone and compared."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from rtec.metrology.grid.evaluation import GridComparison, GridEvaluation
 from rtec.metrology.grid.paths import Edge
 from rtec.metrology.grid.setup import GridSetup, Item, same_feed, slowest
 from rtec.report import grid_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
 from rtec.wording import counted, number
 
@@ -54,12 +54,12 @@ def grid_page(r: GridEvaluation, figures: bool = True) -> Page:
         sections,
         [*FEET, f"rtec {__version__}, rtec grid."],
         brief=Section("", [], _brief(r)),
-        next=[typed("rtec", "fit", *r.files, "-o", "model.toml")] if r.files else [],
+        next=[shell_command("rtec", "fit", *r.files, "-o", "model.toml")] if r.files else [],
     )
 
 
 def _brief(r: GridEvaluation) -> Table:
-    """Differences that are more than noise; then each error of the set-ups, with its range over them."""
+    """Significant differences; then each error of the set-ups, with its range over them."""
     found = dict.fromkeys((i.name, i.means, number(i.value), "", number(i.u), i.unit, "yes") for i in r.found)
     rows = [[*row] for row in found]
     for first in r.setups[0].items:
@@ -96,7 +96,7 @@ def _compared(c: GridComparison, found: Sequence[Item]) -> Table:
 
 
 def drawn_pieces(edges: Sequence[Edge], family: int, level: dict[int, float], turn: float) -> list[draw.Piece]:
-    """Edges without their plane's mean and the plate's turn: how a plate lies is no fault of the machine."""
+    """Edges without their plane's mean and the plate's rotation: the alignment of a plate is no machine error."""
     middle = {k: float(np.mean([np.ptp(e.place_mm) / 2 + e.place_mm.min() for e in edges if e.along == k] or [0.0]))
               for k in (0, 1)}  # fmt: skip
     out = []
@@ -110,7 +110,7 @@ def drawn_pieces(edges: Sequence[Edge], family: int, level: dict[int, float], tu
 
 
 def plate_turn(s: GridSetup, edges: Sequence[Edge]) -> float:
-    """How the sides along the first letter lean, µm per mm, 0 where the plate is known: [XT] draws them level."""
+    """Slope of the sides along the first letter, µm per mm, 0 where the plate is known: [XT] draws them level."""
     first = [e for e in edges if e.along == 0]
     if s.setup.alignment == "none" or not first:
         return 0.0
@@ -146,12 +146,12 @@ def _contour(s: GridSetup, number_: int, magnification: float | None) -> Figure:
 
 
 def _outline(edges: Sequence[Edge]) -> list[Edge]:
-    """Runs that go round a square."""
+    """Edges of the runs around a square."""
     return [e for e in edges if len({(x.along, round(x.beside_mm, 1)) for x in edges if x.run == e.run}) == 4]
 
 
 def _overlays(r: GridEvaluation) -> list[Section]:
-    """Two set-ups of one plane and size laid over each other, each about its own middle; two feeds in one set-up."""
+    """Overlays: two set-ups of one plane and size, each relative to its own middle; two feeds of one set-up."""
     out: list[Section] = []
     for i, one in enumerate(r.setups):
         for two in r.setups[i + 1 :]:
@@ -176,7 +176,7 @@ def _overlay(one: GridSetup, two: GridSetup, magnification: float | None, name: 
 
 
 def _moved(e: Edge, s: GridSetup) -> Edge:
-    """Counted from the plate's middle."""
+    """An edge with coordinates relative to the plate's middle."""
     middle = [s.setup.origin_mm["XYZ".index(d)] for d in s.lean.letters]
     return replace(e, place_mm=e.place_mm - middle[e.along], beside_mm=e.beside_mm - middle[1 - e.along])
 
@@ -184,7 +184,7 @@ def _moved(e: Edge, s: GridSetup) -> Edge:
 def _laid_over(
     families: dict[str, list[Edge]], s: GridSetup, magnification: float | None, name: str, *, still: bool = False
 ) -> Figure | None:
-    """Families of edges in one figure; the plate lies `still` between them, or each set-up's own lie is taken out."""
+    """Families of edges in one figure; without each set-up's alignment of the plate, unless the plate was `still`."""
     chosen = {k: [e for e in v if e.run == min(x.run for x in v)] for k, v in families.items() if v}
     if len(chosen) < 2:
         return None

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 COLOURS = (ON, OFF, LINES[3], LINES[4], LINES[5])
 SMOOTH = 30
-"""Of a piece, the mean over twice this part of it is drawn bold over what was read."""
+"""Half-width of the moving mean that is drawn bold over the readings, as a share of the piece."""
 SCALES_UM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
@@ -27,10 +27,10 @@ class Piece:
     Attributes:
         along: 0 to the right, 1 upwards.
         way: -1, +1.
-        place_mm: along it, in order, (n,).
-        beside_mm: where it lies across.
-        deviation_um: across it, positive to the right or upwards, (n,).
-        family: place in the list of names; pieces of one family have one colour.
+        place_mm: positions along it, in order, (n,).
+        beside_mm: its position across.
+        deviation_um: deviation across it, positive to the right or upwards, (n,).
+        family: index in the list of names; pieces of one family have one colour.
     """
 
     along: int
@@ -53,12 +53,12 @@ def contour(
     """Commanded path in grey, actual path beside it; arrows along the feed, a bar for the size of an error.
 
     Args:
-        title: of the figure.
+        title: title of the figure.
         letters: directions to the right and upwards.
-        pieces: of all families (set-ups, feeds or directions laid over each other).
-        names: of the families.
-        magnification: of the deviation against the path.
-        how: what was taken out before, in words.
+        pieces: pieces of all families (set-ups, feeds or directions in one overlay).
+        names: names of the families.
+        magnification: magnification of the deviation relative to the path.
+        how: parts that were subtracted before, in words.
     """
     figure = canvas(WIDTH_IN * 0.95)
     ax = figure.subplots()
@@ -109,7 +109,7 @@ def _draw(ax: "Axes", piece: Piece, colour: str, magnification: float, label: st
 
 
 def _smoothed(value: Floats) -> tuple[slice, Floats]:
-    """Which places have a whole stretch about them, and the mean over it."""
+    """Places with a complete window around them, and the mean over it."""
     reach = min(max(1, len(value) // SMOOTH), (len(value) - 1) // 2)
     size = 2 * reach + 1
     return slice(reach, len(value) - reach), np.convolve(value, np.full(size, 1.0 / size), mode="valid")

@@ -1,4 +1,4 @@
-"""Reports of `rtec hil`: accuracy beside the all-simulated run, timing, faults, checks; and of its long run."""
+"""Reports of `rtec hil`: accuracy compared with the all-simulated run, timing, faults, checks; and of its long run."""
 
 import dataclasses
 import math
@@ -61,7 +61,7 @@ NOT_YET = "never"
 
 
 def hil_facts(found: HilResult) -> Any:
-    """The result as JSON holds it; the course is the figure's."""
+    """The result as plain data, without the errors over time, which only the figure shows."""
     facts = plain(
         {f.name: getattr(found, f.name) for f in dataclasses.fields(found) if f.name not in ("course", "log")}
     )
@@ -161,11 +161,11 @@ def _faults(found: HilResult) -> Section:
         "follows again after, s",
         "largest error, µm",
     )
-    text = [f"{f.order.name}: {f.what}. {_told(f)}" for f in found.faults]
+    text = [f"{f.order.name}: {f.what}. {_fault_words(f)}" for f in found.faults]
     return Section("Faults", text, Table(head, [_fault_row(f) for f in found.faults]))
 
 
-def _told(fault: FaultFound) -> str:
+def _fault_words(fault: FaultFound) -> str:
     if not fault.told:
         return "The daemon reported nothing."
     return "Reported: " + "; ".join(f"{device}: {text}" for device, text in fault.told.items()) + "."
@@ -200,7 +200,7 @@ def _accuracy_figure(found: HilResult) -> Section:
 
 
 def soak_facts(found: SoakResult) -> Any:
-    """The result as JSON holds it."""
+    """The result as plain data."""
     facts = plain({f.name: getattr(found, f.name) for f in dataclasses.fields(found) if f.name != "log"})
     return facts | {"passed": found.passed, "log": str(found.log) if found.log else None}
 

@@ -1,4 +1,4 @@
-"""The history of a model: every change, the error before and after it, and the staircase of the error falling."""
+"""The history of a model: every change, the error before and after it, and the staircase of falling errors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,7 +25,7 @@ def history_page(h: History, figures: bool = True) -> Page:
 
 
 def model_page(model: Model, figures: bool = True) -> Page:
-    """A model at a glance: its numbers, and its history."""
+    """Overview of a model: its numbers and its history."""
     lead = f"{model.name}: {counted(len(model.effects), 'effect')} on {model.machine.name}."
     rows = [[r["effect"], r["name"], *with_error(r["value"], r["se"]), spoken(r["unit"])] for r in model.rows()]
     table = Table(("effect", "number", "value", "standard error", "unit"), rows, words=(0, 1, 4))
@@ -33,7 +33,7 @@ def model_page(model: Model, figures: bool = True) -> Page:
 
 
 def history_sections(model: Model, figures: bool) -> list[Section]:
-    """The section of every change; none where the model has no history."""
+    """Sections on every change; empty where the model has no history."""
     steps = steps_of(model)
     if not steps:
         return []
@@ -52,7 +52,7 @@ OTHER_START = "'before' differs from 'after' in the row above:"
 
 
 def _moved(steps: Sequence[Mapping[str, Any]], i: int) -> str:
-    """Why the same measurements give another error before this step than after the last."""
+    """Reason why the same measurements have another error before this step than after the last one."""
     now, last = steps[i], steps[i - 1]
     if now["unit"] == "noise":
         return (
@@ -89,7 +89,7 @@ def _changed(s: Mapping[str, Any]) -> str:
 def stairs(steps: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[float], float | None]:
     """Steps of the staircase: names and residuals, and the noise floor.
 
-    Errors on other measurements cannot be compared, so it begins where the last measurements begin.
+    Errors on other measurements are not comparable, so that it begins with the first step on the last measurements.
     """
     unit = steps[-1]["unit"]
     same = [{**s, "error": e} for s, e in zip(steps, rescaled(steps), strict=True) if s["unit"] == unit]

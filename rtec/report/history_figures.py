@@ -15,20 +15,20 @@ if TYPE_CHECKING:
 
 
 LONG, MANY = 18, 5
-"""Letters of a name that are on one line; steps from which on names are slanted, so that they have room."""
+"""Largest number of letters of a name on one line; number of steps above which names are slanted for lack of room."""
 CROWD, WIDE = 9, 1000.0
-"""Steps from which on names are upright; range from which on sizes have digits of their own."""
+"""Number of steps above which names are upright; range above which sizes have digits of their own."""
 
 
 @as_png
 def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None) -> "MplFigure":
-    """The error falling on a logarithmic scale, change by change, down to the noise floor.
+    """The error on a logarithmic scale, change by change, down to the noise floor.
 
     Args:
-        unit: for people.
-        names: what each step was; the first is the model as it began.
-        errors: root mean square residual on held-out runs after each.
-        floor: what noise alone gives; None where it is not known.
+        unit: unit of the error, for people.
+        names: names of the steps; the first is the initial model.
+        errors: root mean square residual on held-out runs after each step.
+        floor: noise floor; None where it is unknown.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
@@ -73,7 +73,7 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
 
 
 def _broken(name: str) -> str:
-    """A label on several lines: at the bracket and the commas; long names at an underscore too."""
+    """A label with line breaks at the bracket and the commas; in long names at an underscore, too."""
     head, mark, rest = name.partition("(")
     if len(head) > LONG and "_" in head:
         at = head.rindex("_") + 1

@@ -1,4 +1,4 @@
-"""Page about a machine file: axes, chain, sensors, and the names that follow from them."""
+"""Page on a machine file: axes, chain, sensors, and the names that follow from them."""
 
 from rtec.machine import Machine
 from rtec.report.page import Page, Section, Table
@@ -6,7 +6,7 @@ from rtec.wording import significant
 
 
 def machine_page(machine: Machine) -> Page:
-    """A machine as rtec reads its file."""
+    """Axes, chain, sensors, component errors and channels of a machine."""
     head = ("axis", "along", "travel, mm", "counts per mm", "one count, µm", "pitch, mm", "corrected")
     rows = [
         (

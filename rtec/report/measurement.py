@@ -1,4 +1,4 @@
-"""A measurement at a glance: what was read, how far the readings go, and a figure of them."""
+"""Overview of a measurement: its columns, their ranges, and a figure of the readings."""
 
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ WAYS = {1.0: ("moving +", "-", "o"), -1.0: ("moving −", "--", "s"), 0.0: ("no 
 
 
 def measurement_page(m: Measurement, figures: bool = True) -> Page:
-    """What a measurement holds."""
+    """Set-up, columns and ranges of a measurement."""
     facts = m.facts()
     along = f" along {m.instrument.axis}" if m.instrument.axis else ""
     lead = (
@@ -37,12 +37,12 @@ def measurement_page(m: Measurement, figures: bool = True) -> Page:
 
 
 def recorded_page(s: Simulated, figures: bool = True) -> Page:
-    """The measurement that was simulated."""
+    """The page of a simulated measurement."""
     return measurement_page(s.measurement, figures)
 
 
 def imported_page(i: Imported, figures: bool = True) -> Page:
-    """What was imported; with its readings where a machine was named."""
+    """The page of an import; with the readings where a machine was given."""
     if i.measurement is not None:
         return measurement_page(i.measurement, figures)
     lead = f"{counted(i.rows_in, 'row')} in, {counted(i.rows_out, 'row')} out; not checked against a machine."

@@ -1,4 +1,4 @@
-"""A figure that a notebook shows by itself, whether or not pyplot was imported."""
+"""A figure that a notebook displays even if pyplot is not imported."""
 
 from io import BytesIO
 
@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 
 class ShownFigure(Figure):
-    """matplotlib's figure, and its picture for the cell of a notebook."""
+    """matplotlib's figure with a PNG for the cell of a notebook."""
 
     def _repr_png_(self) -> bytes:
         out = BytesIO()

@@ -1,4 +1,4 @@
-"""A report: its parts, one self-contained HTML file of them (no scripts, no network), and the folder that holds it."""
+"""A report: its parts, their self-contained HTML file (no scripts, no network), and its folder."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ from rtec.text import clean_lines
 
 @dataclass(frozen=True)
 class Table:
-    """A table; the columns in `words` are text, set left, the others numbers, set right."""
+    """A table; columns in `words` are text, aligned left; the others are numbers, aligned right."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -29,7 +29,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture: file name beside the page, PNG, and what it shows, in words for those who can't see it."""
+    """A picture: file name beside the page, PNG, and a description for people who cannot see it."""
 
     name: str
     png: Png
@@ -37,13 +37,13 @@ class Figure:
 
     @property
     def inline(self) -> str:
-        """The picture as a data address."""
+        """The picture as a data URL."""
         return "data:image/png;base64," + b64encode(self.png).decode("ascii")
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, paragraphs, then table and figure where given."""
+    """A heading and paragraphs, then a table and a figure, if any."""
 
     heading: str
     text: Sequence[str] = field(default_factory=tuple)
@@ -56,13 +56,13 @@ class Page:
     """A report.
 
     Attributes:
-        title: of the page.
+        title: title of the page.
         lead: the verdict, in one or two sentences.
         numbers: big numbers, each with its meaning.
-        sections: everything else.
+        sections: sections of the page.
         foot: small print.
         brief: one short table, which a terminal shows below the verdict instead of the sections.
-        next: commands to type next, best first.
+        next: commands for the next step, best first.
     """
 
     title: str
@@ -75,17 +75,17 @@ class Page:
 
     @property
     def first_figure(self) -> Figure | None:
-        """The figure that shows most; None on a page without figures."""
+        """The first figure of the page; None where there is none."""
         return next((s.figure for s in self.sections if s.figure), None)
 
 
-def typed(*words: object) -> str:
-    """A command as it is typed into a shell."""
+def shell_command(*words: object) -> str:
+    """A command as text for a shell, with the necessary quotes."""
     return " ".join(quote(str(word)) for word in words)
 
 
 def render(page: Page) -> str:
-    """Give the page as HTML; every text is escaped."""
+    """The page as HTML; every text is escaped."""
     from jinja2 import Environment, StrictUndefined
 
     source = resources.files("rtec.report").joinpath("page.html").read_text(encoding="utf-8")
@@ -100,14 +100,14 @@ def _cleaned(value: Any) -> Any:
 
 
 def note_words(notes: Mapping[str, Sequence[str]]) -> list[str]:
-    """The notes of each measurement in one sentence: what is missing in it, and what was accepted."""
+    """One sentence for each measurement with its notes: what is missing in it, and what was accepted."""
     return [f"{name}: {'; '.join(said)}." for name, said in notes.items() if said]
 
 
 def write_page(page: Page, facts: object, folder: Path) -> Path:
     """Write `report.html`, `result.json` and the figures; give the page's path.
 
-    Everything is made in a hidden folder first, and each file then moved to its place, the page last.
+    All files are written into a hidden folder first, then moved to their places, the page last.
 
     Raises:
         RtecError: the folder cannot be written.

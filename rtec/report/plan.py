@@ -15,7 +15,7 @@ from rtec.wording import number, significant
 
 SHOWN, BRIEF = 8, 4
 HARDLY = math.log(2.0)
-"""A test with smaller odds for every pair is not listed."""
+"""A test is not listed if its odds are smaller than this for every pair."""
 NO_TEST = (
     "No single test on this machine separates any two of them at these sizes. Two tests together may: add another to "
     "the planned ones and run this again; or vary the drivers more (longer, hotter, faster, more load)."
@@ -48,7 +48,7 @@ def plan_page(a: Answer, figures: bool = True) -> Page:
 
 
 def _brief(a: Answer) -> Section:
-    """What is not separated, and the tests to add; what is detectable where none is proposed."""
+    """Confounded parameters and the tests to add; detectable sizes where no test is proposed."""
     words = [word for section in (*_troubles(a.separation), *_hopeless(a)) for word in section.text]
     if a.proposals:
         n = len(a.separation.parameters)
@@ -89,7 +89,7 @@ def _troubles(s: Separation) -> list[Section]:
 
 
 def _hopeless(a: Answer) -> list[Section]:
-    """What no further test would separate."""
+    """Parameters that no further test separates."""
     tests = "circle in this plane" if a.circles else "usual test on this machine"
     words = [
         f"No {tests} determines {group[0]}."
@@ -137,7 +137,7 @@ def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
 
 
 def separator_sections(separators: Sequence[Separator]) -> list[Section]:
-    """Tests by the odds that they would give for the true one of each two rivals."""
+    """Tests, ranked by the odds that they give for the true one of each two rivals."""
     if not separators:
         return []
     helpful = _helpful(separators)
@@ -160,7 +160,7 @@ def _helpful(separators: Sequence[Separator]) -> list[Separator]:
 
 
 def _setups(proposals: Sequence[Proposal], separators: Sequence[Separator]) -> list[Section]:
-    """Where the tests that were named are made: what a planned test's file has under `[setup]`."""
+    """Set-ups of the named tests: `[setup]` of a planned test's file."""
     tests = {t.name: t for t in (*(p.test for p in proposals), *(s.test for s in separators))}
     rows = [
         [name, ", ".join(f"{key} = {_key(value)}" for key, value in test.setup.items())]

@@ -1,4 +1,4 @@
-"""Report of a replay: what was compared, and what differs."""
+"""Report of a replay: comparisons and differences."""
 
 from collections.abc import Mapping
 
@@ -20,7 +20,7 @@ def replay_page(r: Replayed, figures: bool = True) -> Page:
 
 
 def replay_lines(r: Replayed) -> list[str]:
-    """What a replay gave, line by line, as a terminal shows it."""
+    """Lines of a replay's result for a terminal."""
     return _capture_lines(r.report) if isinstance(r.report, CaptureReport) else _log_lines(r.report, r.checked)
 
 

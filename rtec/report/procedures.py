@@ -21,7 +21,7 @@ ISO230_FORMULAS = (
 
 
 def iso230_page(r: PositioningTests, figures: bool = True) -> Page:
-    """The page for one or more tests; without figures it is what the terminal shows."""
+    """The page for one or more tests; without figures for the terminal."""
     return Page(
         title="Positioning after ISO 230-2",
         lead="; ".join(f"{t.visits.name}: {_lead(t)}" for t in r.tests) + ".",
@@ -105,11 +105,11 @@ MEANS = (
 
 
 SETTLED = 0.75
-"""A slow part whose time constant is a larger share of the phase than this has no end that can be told."""
+"""The final value of a slow part is not determined if its time constant is a larger share of the phase than this."""
 
 
 def drift_page(r: Drift, figures: bool = True) -> Page:
-    """The page for one drift test; without figures it is what the terminal shows."""
+    """The page for one drift test; without figures for the terminal."""
     spread = {t.name: float(np.nanmax(t.values) - np.nanmin(t.values)) for t in r.traces}
     units = {t.name: t.unit for t in r.traces}
     largest = ", ".join(f"{n} {v:.1f} {units[n]}" for n, v in spread.items())
@@ -227,7 +227,7 @@ ARTEFACTS = {
 
 
 def straightness_page(r: StraightnessResult, figures: bool = True) -> Page:
-    """The page for one straightness; without figures it is what the terminal shows."""
+    """The page for one straightness; without figures for the terminal."""
     se = f" ± {2 * r.point_se_um:.2f} µm a point (k = 2)" if np.isfinite(r.point_se_um) else ""
     numbers = [(f"{r.peak_to_valley_um:.2f}\u00a0µm", "straightness, largest minus smallest")]
     if r.method == "face":
@@ -270,7 +270,7 @@ def _straightness_figure(r: StraightnessResult) -> Figure:
 
 
 def parallelism_page(r: ParallelismResult, figures: bool = True) -> Page:
-    """The page for one parallelism; without figures it is what the terminal shows."""
+    """The page for one parallelism; without figures for the terminal."""
     rows = [
         ["α_p: spindle's axis seen from the motion [G 3.5]", number(r.alpha_urad), "µrad"],
         ["motion seen from the spindle's axis (-α_p)", number(r.motion_urad), "µrad"],

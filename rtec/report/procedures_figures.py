@@ -1,4 +1,4 @@
-"""The standard figures of the procedures; style and colours as in `figures`. Only arrays come in, PNG goes out."""
+"""The standard figures of the procedures, from arrays to PNG; style and colours as in `figures`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ def positioning(
     """Deviation over targets: every reading, the means with ±2 s, and the band of accuracy A; below it the cycles.
 
     Args:
-        title: of the figure.
+        title: title of the figure.
         target_mm: (m,).
         ways: "up" and "down" to deviations, µm, (m, n).
         limits_um: lowest and highest of mean ∓ 2 s.
@@ -86,11 +86,11 @@ def _cycles(ax: "Axes", cycle_um: Floats) -> None:
 def straightness(
     title: str, below: str, place_mm: Floats, straight_um: Floats, se_um: float, other: tuple[str, Floats]
 ) -> "MplFigure":
-    """Straightness with a band of ±2 standard errors, and the artefact's own part below.
+    """Straightness with a band of ±2 standard errors, and the artefact's profile below.
 
     Args:
-        title: of the upper panel.
-        below: name of the axis.
+        title: title of the upper panel.
+        below: title of the lower axis.
         place_mm, straight_um: (n,).
         se_um: standard error of a point; NaN: no band.
         other: title and values, (n,), of the lower panel.
@@ -117,13 +117,13 @@ def straightness(
 def parallelism(
     below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: float, radii: Sequence[Floats]
 ) -> "MplFigure":
-    """The spindle's axis seen from the motion with its best-fit line, and the radii of the circles.
+    """The spindle's axis relative to the motion with its best-fit line, and the radii of the circles.
 
     Args:
-        below: name of the axis.
+        below: title of the lower axis.
         place_mm, axis_um: (k,).
-        slope_um_per_mm: of the line.
-        radii: of both probes, (k,) each.
+        slope_um_per_mm: slope of the line.
+        radii: radii of both probes, (k,) each.
     """
     figure, axes = stacked(4.2, 3.2)
     level = float(axis_um.mean())

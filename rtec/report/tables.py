@@ -1,4 +1,4 @@
-"""What `rtec table` says: the table that was written, or how one that is there differs from a model."""
+"""Report of `rtec table`: the written table, or the difference of an existing one from a model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,15 +10,15 @@ from rtec.correction.tables.table import CompensationTable, TableFormat
 from rtec.report.page import Page, Section, Table
 
 SHOWN_UM = 0.005
-"""What is smaller is not listed."""
+"""Smaller differences are not listed."""
 NEAR_MM = 0.01
-"""So far from the end of the travel a table may end."""
+"""Largest accepted distance from the end of a table to the end of the travel."""
 
 
 def written_page(
     table: CompensationTable, form: TableFormat, residuals: Sequence[TableResidual], path: Path | None
 ) -> Page:
-    """The page of a table that was written."""
+    """The page of a written table."""
     low, high = float(table.positions_mm[0]), float(table.positions_mm[-1])
     values = np.array([table.forward_um, table.backward_um])
     points = f"{len(table.positions_mm)}{f' x {len(table.second_mm)}' if table.second else ''} points"
@@ -35,7 +35,7 @@ def written_page(
 
 
 def _heat_section(table: CompensationTable) -> list[Section]:
-    """What a control with temperature compensation needs."""
+    """Section with the numbers that a control with temperature compensation needs."""
     if not table.heat:
         return []
     rows = [(h.sensor, f"{h.offset_um:+.3f}", f"{h.slope_um_per_m:+.3f}", f"{h.residual_um:.3f}") for h in table.heat]
@@ -47,7 +47,7 @@ def _heat_section(table: CompensationTable) -> list[Section]:
 def compared_page(
     table: CompensationTable, model: CompensationTable, form: TableFormat, source: Path, travel_mm: tuple[float, float]
 ) -> Page:
-    """The page of a table that is there, beside what a model predicts at its points."""
+    """The page of an existing table, with a model's prediction at its points."""
     differences = np.array([model.forward_um - table.forward_um, model.backward_um - table.backward_um])
     worst = np.unravel_index(np.abs(differences).argmax(), differences.shape)
     place = f"{table.positions_mm[worst[-1]]:g} mm"
@@ -73,7 +73,7 @@ def compared_page(
 
 
 def _covers(table: CompensationTable, travel_mm: tuple[float, float]) -> str | None:
-    """Say where the table ends before the travel does."""
+    """Sentence where the table ends before the travel does; else None."""
     low, high = float(table.positions_mm[0]), float(table.positions_mm[-1])
     if low <= travel_mm[0] + NEAR_MM and high >= travel_mm[1] - NEAR_MM:
         return None

@@ -1,1 +1,1 @@
-"""A machine that does not exist: true errors of its own, sensors, a controller and servo drives."""
+"""A simulated machine: true errors, sensors, a controller and servo drives."""

@@ -3,14 +3,14 @@
 Each tick, per axis (positions mm, h the servo period, all in the order below):
 
     error    = round(command · c) + origin - (counts + inserted) + following        counts
-    wanted   = Kv · error / c + feed_forward · (v₁ - v₀ D) / (1 - D),  D = exp(-h/τ)      mm/s
-               v₀, v₁: command's speed now and a tick later; what a drive of lag τ needs to go from one to the other
+    target   = Kv · error / c + feed_forward · (v₁ - v₀ D) / (1 - D),  D = exp(-h/τ)      mm/s
+               v₀, v₁: command's speed now and a tick later; a drive of lag τ needs this to get from one to the other
     motor    first-order drive with time constant τ, exact over h
     play     the slide follows the motor within ± half the backlash
     reading  = base + a1 sin(ωb + φ1) + a2 sin(2ωb + φ2) + table(b),  b = motor, or the slide where there is a scale
     counts   = floor(reading · c + ½)      (the zero mark is in the middle of count 0)
 
-`counts + inserted` is what the controller sees, so +k inserted counts stop the slide k counts sooner. The numbers come
+The controller reads `counts + inserted`, so that +k inserted counts stop the slide k counts sooner. The numbers come
 from the truth.
 """
 
@@ -47,16 +47,16 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MOTOR, VELOCITY, SLIDE, READING, COMMAND, COMMAND_VELOCITY, TRAVELLED, AXIS_STATES = range(8)
-"""Columns of an axis' state: mm and mm/s; TRAVELLED is the motor's whole path, for its heat."""
+"""Columns of an axis' state: mm and mm/s; TRAVELLED is the length of the motor's path, for its heat."""
 COUNTS_PER_MM, HALF_PLAY, ON_SCALE, OMEGA, AMPLITUDE1, PHASE1, AMPLITUDE2, PHASE2 = range(8)
 KV, FEED_FORWARD, DECAY, GAIN, TABLE_LOW, TABLE_STEP, AXIS_PARAMETERS = range(8, 15)
 """Columns of an axis' parameters; amplitudes and table in mm."""
 TICK, PROGRAM_TICK, BLOCK, REPEAT, CLOCK_STATES = range(5)
-"""Servo ticks since the start, tick at which the program began, its block, does it repeat?"""
+"""Servo ticks since the start, tick at which the program began, its block, whether it repeats."""
 SPINDLE_RPM, SPINDLE_RAMP, TURNS, SPINDLE_STATES = range(4)
-"""Speed now, 1/min; its change a tick; turns (without sign) since the start."""
+"""Present speed, 1/min; its change a tick; turns (without sign) since the start."""
 COUNTS, INSERTED, FOLLOWING, ORIGIN, NEXT_ORIGIN, COUNT_STATES = range(6)
-"""Columns of an axis' integers, all in counts; a new origin is taken over with the next block."""
+"""Columns of an axis' integers, all in counts; a new origin takes effect with the next block."""
 T_COMMAND, T_MOTOR, T_SLIDE, T_READING, TRACE_COLUMNS = range(5)
 """Columns of a recording, mm."""
 
@@ -78,10 +78,10 @@ def move_axis(axis: Floats, counts: Ints, own: Floats, table: Floats, next_speed
     target = math.floor(axis[COMMAND] * counts_per_mm + 0.5) + counts[ORIGIN]
     error = target - counts[COUNTS] - counts[INSERTED] + counts[FOLLOWING]
     ahead = (speed - axis[COMMAND_VELOCITY] * decay) / (1.0 - decay)
-    wanted = own[KV] * error / counts_per_mm + own[FEED_FORWARD] * ahead
-    lag = axis[VELOCITY] - wanted
-    step = wanted * period_s + lag * own[GAIN]
-    axis[VELOCITY] = wanted + lag * decay
+    target = own[KV] * error / counts_per_mm + own[FEED_FORWARD] * ahead
+    lag = axis[VELOCITY] - target
+    step = target * period_s + lag * own[GAIN]
+    axis[VELOCITY] = target + lag * decay
     axis[MOTOR] += step
     axis[TRAVELLED] += abs(step)
     axis[SLIDE] = min(max(axis[SLIDE], axis[MOTOR] - own[HALF_PLAY]), axis[MOTOR] + own[HALF_PLAY])
@@ -98,7 +98,7 @@ def move_axis(axis: Floats, counts: Ints, own: Floats, table: Floats, next_speed
 
 @njit
 def next_block(blocks: Floats, clock: Ints) -> bool:
-    """Go on to the block of this tick, back to the first where the program repeats; True at a change or at rest."""
+    """Advance to the block of this tick, or to the first one where the program repeats; True at a change or at rest."""
     block = clock[BLOCK]
     while block < len(blocks) and clock[TICK] - clock[PROGRAM_TICK] >= blocks[block, END]:
         block += 1
@@ -148,11 +148,11 @@ def run_ticks(ticks: int, setup: Setup, state: State, trace: Floats, stride: int
     """Run the machine for some servo ticks.
 
     Args:
-        ticks: how many.
+        ticks: number of ticks.
         setup: constants, tables and program.
         state: changed in place.
-        trace: (rows, axes, 4), filled at ticks divisible by `stride`; no rows = nothing recorded.
-        stride: see there.
+        trace: (rows, axes, 4), filled at ticks divisible by `stride`; without rows nothing is recorded.
+        stride: see `trace`.
     """
     period_s, parameters, tables, blocks = setup
     axes, counts, clock, spindle = state
@@ -185,11 +185,11 @@ def run_ticks(ticks: int, setup: Setup, state: State, trace: Floats, stride: int
 
 TABLE_STEP_MM = 0.5
 RUN_OUT_MM = 20.0
-"""Encoder tables reach this far beyond the travel."""
+"""Length by which encoder tables extend beyond the travel."""
 
 
 def table_nodes_mm(machine: Machine) -> Floats:
-    """Positions of the nodes of the axes' encoder tables, (axes, nodes): the longest travel and some more."""
+    """Positions of the nodes of the axes' encoder tables, (axes, nodes), beyond both ends of the travel."""
     longest = max(a.travel_mm[1] - a.travel_mm[0] for a in machine.axes) + 2 * RUN_OUT_MM
     low = np.array([[a.travel_mm[0] - RUN_OUT_MM] for a in machine.axes])
     return np.asarray(low + TABLE_STEP_MM * np.arange(math.ceil(longest / TABLE_STEP_MM) + 1))
@@ -213,7 +213,7 @@ def servo_parameters(machine: Machine, truth: Truth, geometry: Geometry, nodes_m
 
 
 def at_rest(machine: Machine, geometry: Geometry, start_mm: ArrayLike) -> tuple[Floats, Ints]:
-    """State (axes, 7) and integers (axes, 5) of axes that stand at a position, in the middle of their play."""
+    """State (axes, 7) and integers (axes, 5) of axes at rest at a position, in the middle of their play."""
     low, high = np.array([a.travel_mm for a in machine.axes]).T
     start = np.clip(np.asarray(start_mm, dtype=np.float64), low, high)
     axes = np.zeros((len(start), AXIS_STATES))
@@ -229,7 +229,7 @@ def program_table(reader: ProgramReader, truth: Truth, text: str, repeat: bool) 
     """A part program as rows of `rtec.sim.program`; one that repeats ends with a rapid move back to its start.
 
     Raises:
-        ConfigError: line, what it says, what is allowed.
+        ConfigError: a line is wrong; the message has its number, its text and what is allowed.
     """
     start = reader.position_mm
     moves = reader.read(text)

@@ -1,15 +1,15 @@
-"""The true errors of every link at a position, at the temperatures of one second, and where the tool tip really is.
+"""The true errors of every link at a position, at the temperatures of one second, and the true place of the tool tip.
 
-Symbols: `r` what the encoder shows, `m` motor (screw) position, `p` the same after the play, `s` where the slide
-is; all mm along the axis, positive as programmed. `g` is the positioning error of screw or scale, µm.
+Symbols: `r` encoder reading, `m` motor (screw) position, `p` the same after the play, `s` slide position; all mm along
+the axis, positive as programmed. `g` is the positioning error of screw or scale, µm.
 
     encoder on the screw:  r = m + eccentricity(m),  s = p + g(m)
     linear scale:          r = s - g(s),             s = p      (the screw's own error is inside the loop)
 
-Everything along the axis reaches the chain as `s - r`, which is what `EXX` of the axis is [ISO 230-1].
+The chain gets the whole error along the axis as `s - r`, which is `EXX` of the axis [ISO 230-1].
 
-The tool tip is the product of homogeneous transforms along both sides of the machine, in full; written apart from
-`rtec.machine` on purpose: the simulated truth must not lean on what it is there to test.
+The tool tip is the exact product of homogeneous transforms along both sides of the machine. The code is independent of
+`rtec.machine` on purpose: the simulated truth must not use the code that it tests.
 
     tool side:  T = Trans(offset + q·(d + ε0 × d)) · E(ε, δ)           work side:  Trans(offset - …) · E(-ε, -δ)
     fixed link: T = Trans(offset) · E(ε, δ), its own displacement in machine coordinates, on either side
@@ -82,7 +82,7 @@ class ExactChain:
 
 
 def _cross(a: Floats, b: Floats) -> Floats:
-    """`a × b` along the last axis; numpy's own takes ten times as long on a few vectors."""
+    """`a × b` along the last axis; numpy's function takes ten times as long on a few vectors."""
     return np.asarray(a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]])
 
 
@@ -102,7 +102,7 @@ LETTERS = "XYZABC"
 
 
 class AxisGeometry:
-    """One axis' errors as a function of position; temperatures are set from outside once a second."""
+    """One axis' errors as a function of position; the caller sets the temperatures once a second."""
 
     def __init__(self, axis: Axis, truth: AxisTruth, body_index: dict[str, int], reference_degc: float) -> None:
         self.on_scale = truth.encoder == "scale"
@@ -117,7 +117,7 @@ class AxisGeometry:
         self._slope_low = self._slope_high = 0.0
 
     def set_temperatures(self, body_degc: Floats) -> None:
-        """Integrate the screw's expansion from where it is held, with the temperature of each of its lengths."""
+        """Integrate the screw's expansion from its fixed point, with the temperature of each of its sections."""
         if not len(self._segments):
             return
         rise = body_degc[self._segments] - self._reference_degc
@@ -127,18 +127,18 @@ class AxisGeometry:
         self._expansion = self._expansion - self._expand(np.array([self._screw.fixed_at_mm]))
 
     def position_error_um(self, q_mm: Floats) -> Floats:
-        """`g`: how far the slide goes beyond what screw or scale says, (n,)."""
+        """`g`: travel of the slide beyond the nominal one of screw or scale, µm, (n,)."""
         return self._smooth_um(q_mm) + self._cyclic_um(q_mm)
 
     def encoder_error_um(self, base_mm: Floats) -> Floats:
-        """What the encoder shows beyond the motor (on the screw) or beyond the slide (scale), (n,)."""
+        """Encoder reading minus the position of the motor (on the screw) or the slide (scale), µm, (n,)."""
         if self.on_scale:
             return -self.position_error_um(base_mm)
         screw = self._screw
         return screw.encoder_um * np.sin(self._omega * base_mm + screw.encoder_phase_rad)
 
     def encoder_table_um(self, nodes_mm: Floats) -> Floats:
-        """The part of the encoder error that is no sine, for the controller's table."""
+        """The encoder error without its sines, µm, for the controller's table."""
         return -self._smooth_um(nodes_mm) if self.on_scale else np.zeros(len(nodes_mm))
 
     def encoder_sines(self) -> tuple[float, float, float, float]:
@@ -155,14 +155,14 @@ class AxisGeometry:
         return after_play_mm + 1e-3 * self.position_error_um(motor_mm)
 
     def motor_at(self, reading_mm: Floats) -> Floats:
-        """The position whose encoder shows `reading_mm`: motor, or the slide where there is a scale."""
+        """The position at which the encoder reads `reading_mm`: of the motor, or of the slide with a scale."""
         base = reading_mm
         for _ in range(3):  # the error's slope is below 1e-3, so each pass gains three digits
             base = reading_mm - 1e-3 * self.encoder_error_um(base)
         return base
 
     def motions(self, q_mm: Floats) -> Floats:
-        """The six motions, µm and µrad, (n, 6); that along the axis is left to `slide_mm`."""
+        """The six motions, µm and µrad, (n, 6); the one along the axis is zero, see `slide_mm`."""
         out = self._shapes(q_mm)
         out[:, self._along] = 0.0
         return out
@@ -216,7 +216,7 @@ class Geometry:
         self._along = np.array(["XYZ".index(a.direction) for a in machine.axes])
 
     def set_temperatures(self, body_degc: Floats, time_s: float) -> None:
-        """Take the temperatures (bodies, then air) and the time of this second."""
+        """Set the temperatures (bodies, then air) and the time of this second."""
         for axis in self.axes:
             axis.set_temperatures(body_degc)
         self._link = np.zeros_like(self._link)
@@ -228,12 +228,12 @@ class Geometry:
             self._link[row, column] += amplitude * (math.sin(omega * time_s + phase) - math.sin(phase))
 
     def slides_mm(self, motor_mm: Floats, after_play_mm: Floats) -> Floats:
-        """Where the slides are, (n, axes)."""
+        """Positions of the slides, mm, (n, axes)."""
         columns = [axis.slide_mm(motor_mm[:, a], after_play_mm[:, a]) for a, axis in enumerate(self.axes)]
         return np.stack(columns, axis=1)
 
     def at_readings(self, reading_mm: Floats, direction: Floats) -> Floats:
-        """Slides, (n, axes), when the encoders show `reading_mm` after motion in `direction` (±1; 0 = mid-play)."""
+        """Positions of the slides, (n, axes), at encoder readings after motion in `direction` (±1; 0: mid-play)."""
         columns = []
         for a, axis in enumerate(self.axes):
             base = axis.motor_at(reading_mm[:, a])

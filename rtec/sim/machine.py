@@ -1,7 +1,7 @@
 """The simulated machine: program, controller, drives, slides, heat, sensors and the true tip error, in one object.
 
-Time is passed in, so real and virtual clocks are the same to it. Temperatures move on at every whole second and
-stand still between two of them, in which no error grows by more than some 0.02 µm.
+The caller passes the time, so that real and virtual clocks both work. Temperatures change at every whole second and are
+constant in between; no error changes by more than about 0.02 µm in a second.
 """
 
 import numpy as np
@@ -25,10 +25,10 @@ class SimulatedMachine:
     """A machine tool with its controller.
 
     Args:
-        machine: what rtec knows of it.
-        truth: what is so.
-        seed: same seed, same day; another seed is another day of the same machine.
-        start_mm: first position (axes,), at most to the ends of the travel; default zero.
+        machine: the machine as rtec knows it.
+        truth: the true errors.
+        seed: seed of the day; another seed is another day of the same machine.
+        start_mm: start position (axes,), within the travel; default zero.
 
     Raises:
         ConfigError: truth and machine do not fit.
@@ -51,27 +51,27 @@ class SimulatedMachine:
         self._clock: Ints = np.zeros(c.CLOCK_STATES, np.int64)
         self._spindle = np.array([0.0, truth.servo.spindle_rpm_per_s / self._ticks_per_s, 0.0])
         self._blocks = np.zeros((0, POSITIONS + 2 * n))
-        self._paid = np.zeros(1 + n)  # turns and path whose heat is already in the network
+        self._paid = np.zeros(1 + n)  # turns and path whose heat the network already has
         self._no_trace = np.zeros((0, n, c.TRACE_COLUMNS))
         self._read: tuple[int, Floats] = (-1, np.zeros(0))
 
     @property
     def time_ns(self) -> int:
-        """Time reached, ns since the start, in whole servo ticks."""
+        """Simulated time, ns since the start, in whole servo ticks."""
         return int(self._clock[c.TICK]) * self._period_ns
 
     def advance_to(self, time_ns: int) -> None:
-        """Run program, controller and heat up to an instant; an instant that has passed changes nothing."""
+        """Run program, controller and heat up to an instant; an instant in the past has no effect."""
         while (ticks := self._ticks_to(time_ns)) > 0:
             self._run(ticks, self._no_trace, 1)
             self._heat_up()
 
     def work(self, duration_s: float, spindle_rpm: float = 0.0, feed_duty: float = 0.0) -> None:
-        """Let a long stretch pass at once, in whole seconds: heat only, the slides end where they were.
+        """Simulate a long time in one step, in whole seconds: heat only, the slides end at their present positions.
 
         Args:
-            duration_s: how long; the program, if any, waits meanwhile.
-            spindle_rpm: speed throughout, and afterwards until the program orders another.
+            duration_s: duration; the program, if any, waits meanwhile.
+            spindle_rpm: speed throughout, and afterwards until the program sets another.
             feed_duty: share of the time, 0 to 1, in which every axis moves at its production feed.
         """
         seconds = round(duration_s)
@@ -82,7 +82,7 @@ class SimulatedMachine:
         self._warm()
 
     def record_to(self, time_ns: int, every_ns: int = 1_000_000) -> MotionRecording:
-        """As `advance_to`, and give what happened at every multiple of `every_ns` on the way."""
+        """As `advance_to`, with a recording at every multiple of `every_ns`."""
         stride = max(1, every_ns // self._period_ns)
         pieces = [self._run_recorded(ticks, stride) for ticks in iter(lambda: self._ticks_to(time_ns), 0)]
         names = MotionRecording.__dataclass_fields__
@@ -90,12 +90,12 @@ class SimulatedMachine:
         return MotionRecording(**{k: np.concatenate([getattr(p, k) for p in (empty, *pieces)]) for k in names})
 
     def load_program(self, text: str, repeat: bool = False) -> None:
-        """Start a part program (`rtec.sim.program`) here and now.
+        """Start a part program (`rtec.sim.program`) at the present time and position.
 
-        A program that repeats ends with a rapid move back to where it began.
+        A program that repeats ends with a rapid move back to its start.
 
         Raises:
-            ConfigError: line, what it says, what is allowed.
+            ConfigError: a line is wrong; the message has its number, its text and what is allowed.
         """
         start = tuple(float(v) for v in self.commanded_mm)
         travel = tuple(a.travel_mm for a in self.machine.axes)
@@ -110,7 +110,7 @@ class SimulatedMachine:
 
     @property
     def program_s(self) -> float:
-        """How long one pass of the program takes, s."""
+        """Duration of one pass of the program, s."""
         return float(self._blocks[-1][END]) * self._period_ns * 1e-9 if len(self._blocks) else 0.0
 
     @property
@@ -124,11 +124,11 @@ class SimulatedMachine:
         return self._counts[:, c.INSERTED].copy()
 
     def apply(self, inserted: Ints) -> None:
-        """Insert counts, (axes,), absolute: the controller sees raw + inserted, so +k stops the slide k sooner."""
+        """Insert counts, (axes,), absolute: the controller reads raw + inserted, so +k stops the slide k sooner."""
         self._counts[:, c.INSERTED] = inserted
 
     def set_offset_um(self, offset_um: ArrayLike, kind: str = "following_error") -> None:
-        """Shift the slides by a controller register instead: positive goes further; rounded to counts.
+        """Shift the slides by a controller register instead: positive moves them further; rounded to counts.
 
         Args:
             offset_um: (axes,), absolute.
@@ -138,7 +138,7 @@ class SimulatedMachine:
         self._counts[:, column] = np.rint(np.asarray(offset_um) * 1e-3 * self._per_mm).astype(np.int64)
 
     def temperatures(self) -> tuple[Floats, int]:
-        """What the sensors say, °C (sensors,), and when they were read, ns (the last whole second)."""
+        """Readings of the sensors, °C (sensors,), and their time, ns (the last whole second)."""
         second = self.thermal.time_s
         if self._read[0] != second:
             self._read = (second, self.thermal.readings_degc())
@@ -151,12 +151,12 @@ class SimulatedMachine:
 
     @property
     def commanded_mm(self) -> Floats:
-        """Where the program wants the axes, (axes,)."""
+        """Commanded positions of the axes, (axes,)."""
         return self._axes[:, c.COMMAND].copy()
 
     @property
     def actual_mm(self) -> Floats:
-        """Where the slides are along their axes, (axes,)."""
+        """True positions of the slides along their axes, (axes,)."""
         return _only(self._now().actual_mm)
 
     def tip_error_um(self) -> Floats:
@@ -164,23 +164,23 @@ class SimulatedMachine:
         return _only(self._now().tip_error_um)
 
     def geometric_error_um(self) -> Floats:
-        """Tool relative to workpiece, actual minus what the *encoders* show, (3,): what a model is to predict."""
+        """Tool relative to workpiece, actual minus *encoder readings*, (3,): the error that a model predicts."""
         return _only(self._now().geometric_error_um)
 
     def geometric_error_at_um(self, position_mm: ArrayLike, direction: ArrayLike = 0.0) -> Floats:
-        """The same if the encoders stood at positions (n, axes), reached in direction ±1 (0: mid-play), (n, 3)."""
+        """The same at encoder readings (n, axes), approached in direction ±1 (0: mid-play), (n, 3)."""
         q = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
         slides = self.geometry.at_readings(q, np.broadcast_to(np.asarray(direction, dtype=np.float64), q.shape))
         return (self.geometry.tip_mm(q, slides) - self.geometry.chain.nominal_mm(q)) * 1e3
 
     def save(self) -> dict[str, NDArray[np.generic]]:
-        """Everything that changes, as plain arrays."""
+        """The whole state as plain arrays."""
         kept = {"axes": self._axes, "counts": self._counts, "clock": self._clock, "spindle": self._spindle}
         kept |= {"blocks": self._blocks, "paid": self._paid, "thermal": self.thermal.state}
         return {name: array.copy() for name, array in kept.items()}
 
     def restore(self, kept: dict[str, NDArray[np.generic]]) -> None:
-        """Go back to what `save` gave; machine, truth and seed must be the same."""
+        """Restore a state from `save`; machine, truth and seed must be the same."""
         own = {name: np.array(array) for name, array in kept.items()}
         self._axes, self._counts, self._clock = own["axes"], own["counts"], own["clock"]
         self._spindle, self._blocks, self._paid = own["spindle"], own["blocks"], own["paid"]
@@ -189,7 +189,7 @@ class SimulatedMachine:
         self._warm()
 
     def _ticks_to(self, time_ns: int) -> int:
-        """Servo ticks left to an instant, but at most to the next whole second."""
+        """Servo ticks to an instant, at most to the next whole second."""
         tick = int(self._clock[c.TICK])
         return max(0, min(time_ns // self._period_ns - tick, self._ticks_per_s - tick % self._ticks_per_s))
 
@@ -207,7 +207,7 @@ class SimulatedMachine:
         return done
 
     def _heat_up(self) -> None:
-        """At a whole second: the heat of the second that has passed."""
+        """At a whole second, advance the thermal network with the heat of the past second."""
         if self._clock[c.TICK] % self._ticks_per_s:
             return
         done = np.concatenate([self._spindle[c.TURNS :], self._axes[:, c.TRAVELLED]])
@@ -217,7 +217,7 @@ class SimulatedMachine:
         self._warm()
 
     def _warm(self) -> None:
-        """Bring geometry, and the encoder tables of linear scales, to the temperatures of this second."""
+        """Set geometry, and the encoder tables of linear scales, to the temperatures of this second."""
         self.geometry.set_temperatures(self.thermal.body_degc, float(self.thermal.time_s))
         for a, axis in enumerate(self.geometry.axes):
             if axis.on_scale:
@@ -232,6 +232,6 @@ class SimulatedMachine:
 
 
 def _only(rows: Floats) -> Floats:
-    """Give the one row of a recording of one instant."""
+    """The row of a recording of one instant."""
     row: Floats = rows[0]
     return row

@@ -1,8 +1,8 @@
-"""A small reader of part programs, and the table of moves that the controller's interpolator works on.
+"""A small reader of part programs, and the table of moves for the controller's interpolator.
 
-G0 G1 G2 G3 G4, G17-G19, S, M3 M4 M5; the rest of the language is not needed. One block a line. Axis words are
-absolute, mm (X is a radius, not a diameter); F is mm/min; arcs give their centre by I J K relative to the start; G4
-waits P seconds. Comments: `( … )` and `; …`. `M2` and `M30` end the program.
+Supported are G0 G1 G2 G3 G4, G17-G19, S, M3 M4 M5. One block a line. Axis words are absolute, mm (X is a radius, not a
+diameter); F is mm/min; arcs have their centre by I J K relative to the start; G4 waits P seconds. Comments: `( … )` and
+`; …`. `M2` and `M30` end the program.
 
 Every move starts and ends at rest with constant acceleration between (trapezoidal speed along the path). A row's
 columns are named below; the last `2 · axes` are start and displacement of every axis. Times are in servo ticks, whole
@@ -58,7 +58,7 @@ class Move:
     Attributes:
         start_mm, end_mm: (axes,).
         feed_mm_s: highest speed along the path.
-        wait_s: for a dwell, which goes nowhere.
+        wait_s: duration of a dwell.
         rpm: spindle speed from here on, signed, 1/min.
     """
 
@@ -107,12 +107,12 @@ RADIUS_TOLERANCE_MM = 0.002
 
 @dataclass
 class ProgramReader:
-    """Reads a program for axes of these names; modal words last from block to block.
+    """Reads a program for axes of these names; modal words hold until another block changes them.
 
     Attributes:
-        axes: names, one letter each to be named in a program.
+        axes: names; a program can use those of one letter.
         travel_mm: lowest and highest position of each axis.
-        position_mm: where the tool is; moves on as blocks are read.
+        position_mm: position of the tool after the blocks read so far.
         rapid_mm_s: speed of G0.
         rpm: spindle speed at the start, signed.
     """
@@ -135,10 +135,10 @@ class ProgramReader:
         self._sense = (self.rpm > 0) - (self.rpm < 0)
 
     def read(self, text: str) -> list[Move]:
-        """Give the moves of a program.
+        """The moves of a program.
 
         Raises:
-            ConfigError: the line, what it says and what is allowed.
+            ConfigError: a line is wrong; the message has its number, its text and what is allowed.
         """
         for number, line in enumerate(text.splitlines(), 1):
             try:
@@ -149,13 +149,13 @@ class ProgramReader:
         return self.moves
 
     def go_back(self, to_mm: tuple[float, ...]) -> list[Move]:
-        """Give all moves with one more, a rapid to a position, after them."""
+        """All moves so far, followed by a rapid move to a position."""
         self.moves.append(Move(self.position_mm, to_mm, self.rapid_mm_s, 0.0, self.rpm))
         self.position_mm = to_mm
         return self.moves
 
     def _block(self, words: list[tuple[str, float]]) -> bool:
-        """Act on one block; True at the end of the program."""
+        """Execute one block; True at the end of the program."""
         values = {letter: value for letter, value in words if letter not in "GM"}
         unknown = sorted(set(values) - set("SFPIJK") - set(self.axes))
         if unknown:
@@ -252,8 +252,11 @@ def _reach(
     angles = [low, high, *(q * math.pi / 2 for q in quarters)]
     firsts = [centre[0] + radius * math.cos(a) for a in angles]
     seconds = [centre[1] + radius * math.sin(a) for a in angles]
-    tidy = 9  # decimals; the sine of π is not quite zero
-    return (round(min(firsts), tidy), round(max(firsts), tidy)), (round(min(seconds), tidy), round(max(seconds), tidy))
+    digits = 9  # rounds, as the sine of π is not quite zero
+    return (round(min(firsts), digits), round(max(firsts), digits)), (
+        round(min(seconds), digits),
+        round(max(seconds), digits),
+    )
 
 
 def _words(line: str) -> list[tuple[str, float]]:

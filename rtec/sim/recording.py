@@ -1,4 +1,4 @@
-"""What happened on the simulated machine, instant by instant, with the truth beside it."""
+"""Recordings of the simulated machine, instant by instant, with the truth."""
 
 from dataclasses import dataclass
 
@@ -14,11 +14,11 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MotionRecording:
-    """What happened, one row an instant; tip errors as in `SimulatedMachine`.
+    """A recording, one row an instant; tip errors as in `SimulatedMachine`.
 
     Attributes:
         time_ns: (n,).
-        commanded_mm, actual_mm: (n, axes); actual is where the slides are.
+        commanded_mm, actual_mm: (n, axes); actual is the true position of the slides.
         raw_counts: (n, axes).
         reading_counts: the encoder's position as a real number of counts; `raw_counts` is its floor.
         tip_error_um, geometric_error_um: (n, 3).
@@ -34,7 +34,7 @@ class MotionRecording:
 
 
 def recording_of(geometry: Geometry, counts_per_mm: Floats, trace: Floats, time_ns: Ints) -> MotionRecording:
-    """Give a recording from the controller's trace, (n, axes, 4), all of it within one second of temperatures."""
+    """A recording from the controller's trace, (n, axes, 4), all of it within one second of constant temperatures."""
     command, reading = trace[:, :, T_COMMAND], trace[:, :, T_READING]
     slides = geometry.slides_mm(trace[:, :, T_MOTOR], trace[:, :, T_SLIDE])
     tip = geometry.tip_mm(reading, slides)

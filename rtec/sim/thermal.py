@@ -1,11 +1,11 @@
 """Thermal network of first-order bodies, advanced exactly.
 
     C_i dT_i/dt = Σ_j G_ij (T_j - T_i) + G_i (T_air - T_i) + Q_i        (W)
-    τ_k dS_k/dt = T_body(k) - S_k                                       (sensor k sticks on a body)
+    τ_k dS_k/dt = T_body(k) - S_k                                       (sensor k is on a body)
 
 The air follows `mean - swing · cos ω(t - t_coldest) + walk`. The daily wave is two states of the same linear
-system, so over any step with constant heat one matrix exponential is the exact answer. The walk steps once a
-minute; its steps depend on the seed and the minute alone, so a run does not depend on how it is cut up.
+system, so that one matrix exponential is the exact solution over any step with constant heat. The walk steps once a
+minute; its steps depend on the seed and the minute alone, so that a run does not depend on its division into steps.
 """
 
 import math
@@ -51,7 +51,7 @@ class ThermalNetwork:
 
     @property
     def body_degc(self) -> Floats:
-        """Temperatures of the bodies, °C; then the air, so (bodies + 1,)."""
+        """Temperatures of the bodies, then of the air, °C, (bodies + 1,)."""
         return np.append(self.state[: len(self.bodies)], self.air_degc)
 
     @property
@@ -60,7 +60,7 @@ class ThermalNetwork:
         return float(np.dot(self._air_row, self.state))
 
     def advance(self, seconds: int, heat_w: Floats) -> None:
-        """Go on by whole seconds with constant heat (sources,)."""
+        """Advance by whole seconds with constant heat, W, (sources,)."""
         end = self.time_s + seconds
         while self.time_s < end:
             to_step = WALK_STEP_S - self.time_s % WALK_STEP_S
@@ -72,7 +72,7 @@ class ThermalNetwork:
                 self._walk()
 
     def readings_degc(self) -> Floats:
-        """What the sensors say in this second: offset, noise and quantisation included; the same if asked again."""
+        """Readings of the sensors in this second, °C, with offset, noise and quantisation; equal at every call."""
         n = len(self.bodies)
         noise = np.random.default_rng([self._seed, 2, self.time_s]).standard_normal(len(self.sensors))
         out: Floats = self.state[n : n + len(self.sensors)] + self._offset + self._noise * noise
@@ -87,7 +87,7 @@ class ThermalNetwork:
         return np.concatenate([[turning], speed_mm_s * self._drive_j_per_mm])
 
     def matrices(self) -> tuple[Floats, Floats]:
-        """The system `dz/dt = A z + B q` itself, for whoever wants to integrate it in another way."""
+        """`A` and `B` of the system `dz/dt = A z + B q`, for other integrators."""
         return self._matrix.copy(), self._heat.copy()
 
     def _normal(self, stream: int, number: int) -> float:
@@ -110,7 +110,7 @@ class ThermalNetwork:
         return self._steps[seconds]
 
     def _start(self) -> Floats:
-        """Off overnight: everything as cold as the air is at time zero."""
+        """State after a night switched off: all bodies have the air's temperature at time zero."""
         out = np.zeros(len(self._air_row))
         phase = -2 * math.pi * self._truth.ambient.coldest_at_h * 3600.0 / DAY_S
         out[-4:] = [math.cos(phase), math.sin(phase), 0.0, 1.0]

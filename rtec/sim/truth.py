@@ -1,7 +1,7 @@
-"""What is true of the simulated machine, read from TOML; the model never sees this file.
+"""The truth of the simulated machine, read from TOML; the model never reads this file.
 
-Section names carry the unit of what stands in them: `motion_um`, `motion_urad`, `growth_um`, `growth_urad`,
-`drift_um`. Shapes are sums of long waves and local bumps, on purpose not polynomials.
+Section names have the unit of their values: `motion_um`, `motion_urad`, `growth_um`, `growth_urad`, `drift_um`. Shapes
+are sums of long waves and local bumps, on purpose not polynomials.
 """
 
 from pathlib import Path
@@ -69,7 +69,7 @@ class SpindleHeat(Strict):
 
 
 class SensorTruth(Strict):
-    """A sensor stuck on a body (or hanging in the air: body "air")."""
+    """A sensor on a body (or in the air: body "air")."""
 
     body: str
     offset_degc: DegreesDifference = 0.0
@@ -87,11 +87,11 @@ class TrueShape(Strict):
 
 
 class Screw(Strict):
-    """Screw or scale, whichever the slide's position hangs on: expansion and periodic errors.
+    """Screw or scale that determines the slide's position: expansion and periodic errors.
 
     Attributes:
-        bodies: the bodies that it is made of, at equal lengths along the travel.
-        fixed_at_mm: where it is held, so where expansion is zero.
+        bodies: its bodies, of equal lengths along the travel.
+        fixed_at_mm: its fixed point, where expansion is zero.
         um_per_m_degc: expansion coefficient.
         bend_per_degc: relative rise of that coefficient per °C (real steel is not quite linear).
         cyclic_um: error once per pitch; `cyclic2_um` twice per pitch; phases in rad.
@@ -122,7 +122,7 @@ class Drive(Strict):
 
 
 class AxisTruth(Strict):
-    """One axis: where its encoder sits, its six motions, squareness and play."""
+    """One axis: place of its encoder, its six motions, squareness and play."""
 
     encoder: Literal["screw", "scale"] = "screw"
     backlash_um: MicrometresNotNegative = 0.0
@@ -134,7 +134,7 @@ class AxisTruth(Strict):
 
 
 class Growth(Strict):
-    """Motion `X`, `Y` or `Z` of a link, µm per °C of a body, or of its difference to another (`minus`)."""
+    """Motion `X`, `Y` or `Z` of a link, µm per °C of a body, or of its difference to another body (`minus`)."""
 
     link: str
     motion: Literal["X", "Y", "Z"]
@@ -151,7 +151,7 @@ class AngularGrowth(Growth):
 
 
 class UnseenDrift(Strict):
-    """A slow wave that no sensor sees; its phase differs by seed."""
+    """A slow wave that no sensor reads; its phase differs by seed."""
 
     link: str
     motion: Literal["X", "Y", "Z"]
@@ -188,7 +188,7 @@ def load_truth(path: Path) -> Truth:
     """Read a truth file.
 
     Raises:
-        ConfigError: file, section, key and what is allowed.
+        ConfigError: the file is wrong; the message has section, key and what is allowed.
     """
     return validated(Truth, read_toml(path), str(path))
 
@@ -197,7 +197,7 @@ def check_truth(truth: Truth, machine: Machine, source: str = "truth") -> None:
     """Compare the names in a truth with each other and with the machine.
 
     Raises:
-        ConfigError: every name that nothing answers to, one a line.
+        ConfigError: names are unknown; the message has one a line.
     """
     faults = [
         *_unknown("sensor", truth.sensor, machine.sensor_names),

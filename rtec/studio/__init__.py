@@ -1,5 +1,5 @@
-"""The browser: see where the model fails, add the effect that is missing, and watch the error fall.
+"""The browser: shows where the model fails, adds the missing effect, and shows the error fall.
 
-Pages and nothing else: numbers come from the same functions as those of the command line, in a process of their own.
+This package has pages only: numbers come from the same functions as on the command line, in a process of their own.
 `docs/studio.md`.
 """

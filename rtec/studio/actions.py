@@ -1,14 +1,14 @@
-"""What several pages let a person do with the session: each is one piece of work and what becomes of it."""
+"""Actions on the session that several pages have: each starts one job and stores its result."""
 
 from collections.abc import Mapping
 
 from rtec.studio import tasks
 from rtec.studio.session import NO_FIELDS, ModelStep, TabSession
-from rtec.studio.tasks import Wanted
+from rtec.studio.tasks import EffectRequest
 
 
 async def read_model(session: TabSession) -> bool:
-    """Read the chosen model where that was not done yet; gives whether there is one."""
+    """Read the chosen model if that has not been done; gives whether there is one."""
     if session.lacks:
         return False
     if not session.steps:
@@ -49,14 +49,14 @@ async def diagnose(session: TabSession) -> None:
 
 
 async def add(
-    session: TabSession, wanted: Wanted | None, beside: str = "", fields: Mapping[str, str] = NO_FIELDS
+    session: TabSession, request: EffectRequest | None, beside: str = "", fields: Mapping[str, str] = NO_FIELDS
 ) -> bool:
-    """Add an effect to the model of this step, or refit it where none is named; gives whether that was done.
+    """Add an effect to the model of this step, or refit it if `request` is None; gives whether that succeeded.
 
     Args:
         session: the tab.
-        wanted: the effect.
-        beside, fields: where the page shows why it was not, as for `TabSession.work`.
+        request: the effect.
+        beside, fields: places of the page for an error, as for `TabSession.work`.
     """
     if not await read_model(session):
         return False
@@ -64,8 +64,8 @@ async def add(
     step = session.step
     if step is None:
         return False
-    title = f"Adding {wanted.label}" if wanted else "Refitting"
-    given = step.model, wanted, session.files, session.model_path
+    title = f"Adding {request.label}" if request else "Refitting"
+    given = step.model, request, session.files, session.model_path
     view = await session.work(title, tasks.add, *given, beside=beside, fields=fields)
     if view is None:
         return False
@@ -75,7 +75,7 @@ async def add(
         session.fail(f"Not added: {refused(view.added)}.", beside)
         session.on_change()
         return False
-    words = ("add", *wanted.words) if wanted else ("add", "--refit")
+    words = ("add", *request.words) if request else ("add", "--refit")
     label = ", ".join(view.added.labels) or "numbers refitted"
     session.push(ModelStep(view.added.model, label, words, view, view.compared))
     session.on_change()

@@ -1,6 +1,6 @@
-"""Where the pages are served: an address that takes connections from the first moment, with the key of this start.
+"""The address of the pages, which accepts connections at once, with the key of this start.
 
-The browser may be opened before the server answers: it waits at the open port meanwhile.
+The browser may open before the server answers: it waits at the open port.
 """
 
 import secrets
@@ -23,17 +23,17 @@ PAGES: Final = {
 }
 """Title of each page, by its name in the address."""
 BESIDE: Final = ("import",)
-"""Pages that another page leads to."""
+"""Pages that are opened from another page, not from the list."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where the pages are served.
+    """Address of the pages.
 
     Attributes:
-        host, port: as asked; port 0 takes a free one.
+        host, port: the requested ones; port 0 takes a free one.
         token: the key of this start.
-        certificate, key: files for TLS; None: without.
+        certificate, key: files for TLS; None: without TLS.
     """
 
     host: str
@@ -45,11 +45,11 @@ class Address:
 
 @dataclass(frozen=True)
 class OpenPort:
-    """An address that takes connections.
+    """An address that accepts connections.
 
     Attributes:
-        address: as it was asked for.
-        socket: that listens.
+        address: the requested address.
+        socket: the listening socket.
     """
 
     address: Address
@@ -57,27 +57,27 @@ class OpenPort:
 
     @property
     def port(self) -> int:
-        """The port that was taken."""
+        """Port of the listening socket."""
         return int(self.socket.getsockname()[1])
 
     @property
     def url(self) -> str:
-        """The whole address, key included."""
+        """The whole address with the key."""
         a = self.address
         host = f"[{a.host}]" if ":" in a.host else a.host
         return f"{'https' if a.certificate else 'http'}://{host}:{self.port}/?token={a.token}"
 
 
 def new_token() -> str:
-    """A key that nobody guesses."""
+    """A random key."""
     return secrets.token_urlsafe(24)
 
 
 def open_port(address: Address) -> OpenPort:
-    """Take connections at an address.
+    """Listen at an address.
 
     Raises:
-        RtecError: it cannot be listened at, or the files for TLS cannot be used.
+        RtecError: the address cannot be used, or the files for TLS cannot be used.
     """
     host, port = address.host, address.port
     if address.certificate is not None:

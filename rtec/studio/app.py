@@ -1,4 +1,4 @@
-"""The application that makes the pages: one process for all tabs, one session for each, one page at a time in it."""
+"""The application with the pages: one process for all tabs, one session a tab, with one page at a time."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 MOST_TABS: Final = 32
 WARM_UP_S: Final = 0.5
-"""After a page is sent the browser has the processor for so long."""
+"""Time after a page is sent in which the server leaves the processor to the browser, s."""
 MODULES: Final = {"import": "importing"}
 STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
 
@@ -36,8 +36,8 @@ class Studio:
     """All tabs of one start.
 
     Args:
-        folder: that is opened.
-        live: the daemon that is attached; None: none.
+        folder: the opened folder.
+        live: connection to a daemon, or None.
     """
 
     def __init__(self, folder: Folder, live: "LiveLink | None") -> None:
@@ -53,7 +53,7 @@ class Studio:
         shell = ui.element("div").classes("shell")
         client = ui.context.client
         loading = asyncio.create_task(asyncio.to_thread(_module, name))
-        # The first page of a start is shown with the answer. Later ones wait until the tab says which it is, as it may
+        # The first page of a start is sent with the answer. Later ones wait for the tab's identity, as it may
         # have a session; the server loads meanwhile what the page needs.
         first = not self._sessions
         tab = None if first else await _tab(client)
@@ -69,7 +69,7 @@ class Studio:
             self._sessions.setdefault(tab, session)
 
     def _session(self, tab: str) -> TabSession:
-        """The session of a tab; its own again after a reload."""
+        """The session of a tab; the same one after a reload."""
         if tab not in self._sessions:
             while len(self._sessions) >= MOST_TABS:
                 oldest = self._sessions.pop(next(iter(self._sessions)))
@@ -80,14 +80,14 @@ class Studio:
 
 
 async def _tab(client: Client) -> str | None:
-    """Which tab shows a page, once it says so; None if the page was closed before."""
+    """Identity of the tab that shows a page; None if the page is closed first."""
     while client.tab_id is None and not client.is_deleted:
         await client.connected()
     return client.tab_id
 
 
 class _Frame:
-    """What is around a page: names above, progress below them, the list of pages at the side."""
+    """Frame of a page: names at the top, progress below them, the list of pages at the side."""
 
     def __init__(self, session: TabSession, name: str, dark: ui.dark_mode) -> None:
         self._session, self._name, self._dark = session, name, dark
@@ -139,7 +139,7 @@ class _Frame:
                 self._show_trouble()
 
     def _show_trouble(self) -> None:
-        """Show why work failed: at the head of the page, where it has no place or field for that."""
+        """Show why a job failed at the head of the page, unless the error belongs to a place or field."""
         s = self._session
         if not s.trouble:
             return
@@ -163,7 +163,7 @@ class _Frame:
             self._progress.clear()
             with self._progress:
                 self._build_progress(job)
-        if job is not None:  # the button stays while it goes on: a click may take longer than a stage
+        if job is not None:  # the button stays during the job: a click may take longer than a stage
             share = f'value="{job.done}" max="{job.total}"'
             self._bar.props(share) if job.total > 1 else self._bar.props(remove="value max")
             self._doing.set_text(clean_lines(job.what))
@@ -179,12 +179,12 @@ class _Frame:
 
 
 def made(folder: Path, attach: Path | None, role: "Role") -> FastAPI:
-    """The application that makes the pages.
+    """Make the application with the pages.
 
     Args:
-        folder: that is opened.
-        attach: run file of the daemon that is attached; None: none.
-        role: what the pages may do with it.
+        folder: the opened folder.
+        attach: run file of a daemon to connect to, or None.
+        role: rights of the pages on it.
     """
     link = None
     if attach is not None:
@@ -225,12 +225,12 @@ FAVICON: Final = (
 
 
 async def _warm_up() -> None:
-    """Load what work and the other pages need, so that nobody waits for it later."""
+    """Load the modules of jobs and of the other pages, so that nobody waits for them later."""
     jobs.warm_up()
     for name in PAGES:
         await asyncio.to_thread(_module, name)
 
 
 def _module(name: str) -> ModuleType:
-    """The module of a page; it is loaded when the page is first shown."""
+    """The module of a page, loaded at its first use."""
     return import_module(f"rtec.studio.pages.{MODULES.get(name, name)}")

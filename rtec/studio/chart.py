@@ -1,4 +1,4 @@
-"""A plot in a page: Plotly as it comes with NiceGUI, with points that light up in all plots of the page."""
+"""A plot in a page: the Plotly of NiceGUI, with a selection of points that all plots of the page share."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -12,13 +12,13 @@ PLOTLY: Final = str(Path(nicegui.__file__).parent / "elements" / "plotly" / "dis
 class Chart(Element, component="chart.js", esm={"nicegui-plotly": PLOTLY}):
     """A plot.
 
-    It emits `brush` (numbers of the readings that were selected), `reading` (number of the one under the pointer, or
-    that the arrow keys lead to) and `zoom` (ends of the horizontal and of the vertical axis, None for all of both).
+    It emits `brush` (numbers of the selected readings), `reading` (number of the reading under the pointer or of the
+    arrow keys) and `zoom` (ends of the horizontal and of the vertical axis, None for the whole plot).
 
     Args:
         figure: from `rtec.studio.figures`.
-        shows: what it shows, in words for those who cannot see it.
-        keys: whether its readings are walked along by keys.
+        shows: description for people who cannot see it.
+        keys: whether the arrow keys move from reading to reading.
     """
 
     def __init__(self, figure: dict[str, Any], shows: str, *, keys: bool = False) -> None:
@@ -30,14 +30,14 @@ class Chart(Element, component="chart.js", esm={"nicegui-plotly": PLOTLY}):
             self._props["aria-description"] = "arrow keys, Page up, Page down, Home and End walk along the readings"
 
     def show(self, figure: dict[str, Any]) -> None:
-        """Draw another figure in its place."""
+        """Replace the figure."""
         self._props["options"] = figure
         self.update()
 
     def morph(self, figure: dict[str, Any], ms: int = 1200) -> None:
-        """Move the points to those of another figure with as many of them."""
+        """Animate the points to those of another figure with the same number of points."""
         self.run_method("morph", figure, ms)
 
     def append(self, x: list[list[float]], y: list[list[float | None]], most: int) -> None:
-        """Add points at the end of each trace, and take off the oldest beyond so many."""
+        """Append points to each trace, and remove the oldest ones beyond `most`."""
         self.run_method("append", x, y, most)

@@ -16,14 +16,14 @@ BEAMS: Final[Mapping[str, tuple[int, Mapping[str, Any]]]] = {
     "laser-x": (1, {}),
     "beside": (2, {"beam_offset_mm": [0, 0, 150]}),
 }
-"""Measurements: seed, and set-up of the laser."""
+"""Seed and set-up of the laser of each measurement."""
 
 
 def write(line: Reporter, folder: Path) -> None:
-    """Write it, as the commands of the tutorial do.
+    """Write the files of the example, as the commands of the tutorial do.
 
     Raises:
-        RtecError: a file of that name is in the folder already.
+        RtecError: a file of that name exists in the folder.
     """
     names = [MACHINE, MODEL, *(f"{n}{end}" for n in BEAMS for end in (".csv", ".toml"))]
     there = [n for n in names if (folder / n).exists()]

@@ -1,7 +1,7 @@
-"""The figures of the pages, as Plotly takes them. Arrays come in; colours are names that the theme resolves.
+"""The figures of the pages, from arrays to Plotly's format; colours are names that the theme resolves.
 
-Of very many readings some are drawn: so many that the eye misses none of what all of them would show. All of them count
-in the numbers, and zooming in draws more of those that are there.
+Of very many readings only a part is drawn, which looks the same as all of them. All count in the numbers, and zooming
+in draws more of the visible ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,31 +22,31 @@ Figure = dict[str, Any]
 Box = tuple[tuple[float, float], tuple[float, float]]
 
 MOST, EVENLY = 7_000, 3_000
-"""Readings that are drawn at once; of these, so many evenly at random: they show where readings are dense."""
+"""Largest number of drawn readings; of these, the number that is drawn at random, to show their density."""
 ACROSS, UP = 96, 40
-"""Cells of a plot, a little larger than a marker; in each that has readings at least one is drawn."""
+"""Number of cells of a plot, each a little larger than a marker; every cell with readings has at least one drawn."""
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
 FEW, LARGE, SMALL = 2_000, 9, 6
-"""Up to so many readings are drawn large; sizes of both."""
+"""Up to this many readings have large markers; sizes of large and small markers."""
 SINGLY = 1_000
-"""Up to so many readings are drawn as lines and shapes: WebGL begins slowly, and a browser has 16 of its contexts."""
+"""Up to this many readings are drawn as SVG: WebGL starts slowly, and a browser has only 16 contexts for it."""
 CELLS, LEAST = 24, 3
 LINE = 300
-"""Parts of the line of a temperature; the lowest and the highest of each are drawn."""
+"""Number of parts of a temperature's line; the lowest and the highest value of each are drawn."""
 WAYS = 2
 DIGITS = 5
 
 
 def drawn(series: "SeriesView", over: Floats, up: Floats, box: Box | None = None) -> Ints:
-    """Which readings are drawn, rising, (k,): of each small cell of the plot the one with the largest residual.
+    """Rows of the drawn readings, rising, (k,): in each small cell of the plot the one with the largest residual.
 
-    So the outline of the cloud and every reading that lies alone are there. Further ones are taken at random, the same
-    in every plot of a series.
+    This keeps the outline of the cloud and every isolated reading. Further ones are chosen at random, the same in every
+    plot of a series.
 
     Args:
         series: the reading column.
-        over, up: what they are drawn over, and what is drawn, (n,).
-        box: the ends of both that are seen; None for all.
+        over, up: horizontal and vertical values, (n,).
+        box: visible ends of both; None for all.
     """
     inside = np.isfinite(over) & np.isfinite(up)
     for values, ends in zip((over, up), box or (), strict=False):
@@ -55,25 +55,25 @@ def drawn(series: "SeriesView", over: Floats, up: Floats, box: Box | None = None
     if len(rows) <= MOST:
         return rows
     cell = _part_of(over[rows], ACROSS) * UP + _part_of(up[rows], UP)
-    outward = np.lexsort((np.abs(series.left[rows]), cell))  # the largest of a cell stands last
+    outward = np.lexsort((np.abs(series.residuals[rows]), cell))  # the largest of a cell is the last one
     last = np.append(np.diff(cell[outward]) > 0, True)
     evenly = np.random.default_rng(0).permutation(len(series)) * len(rows) < EVENLY * len(series)
     return np.union1d(rows[outward[last]], rows[evenly[rows]])
 
 
 def _part_of(values: Floats, parts: int) -> Ints:
-    """In which of so many equal parts of the range each value is, (n,)."""
+    """Index of each value's part among `parts` equal parts of the range, (n,)."""
     low, wide = float(values.min()), float(np.ptp(values)) or 1.0
     return np.minimum(((values - low) * (parts / wide)).astype(np.int64), parts - 1)
 
 
 def text(words: str) -> str:
-    """A text from outside as Plotly shows it: its markup is markup no longer."""
+    """A foreign text for Plotly, with its markup escaped."""
     return clean(words).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
 def numbers(values: Floats) -> list[float | None]:
-    """Numbers for the page, with as many digits as an eye sees; what is not finite is a gap."""
+    """Numbers for the page, rounded to visible digits; values that are not finite become gaps."""
     v = np.asarray(values, dtype=np.float64)
     good = np.isfinite(v)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -86,12 +86,12 @@ def numbers(values: Floats) -> list[float | None]:
 
 
 def kind(readings: int, of: str = "scatter") -> str:
-    """How a plot of so many readings is drawn, the same whatever part of them is seen."""
+    """Plotly's kind of trace for a number of readings, the same for every visible part of them."""
     return of if readings <= SINGLY else f"{of}gl"
 
 
 def layout(**more: Any) -> Figure:
-    """Paper and axes of every figure."""
+    """Layout of a figure: paper and axes; `more` overrides it."""
     base: Figure = {
         "paper_bgcolor": "@paper",
         "plot_bgcolor": "@paper",
@@ -135,7 +135,7 @@ def _points(s: "SeriesView", rows: Ints, x: Floats, y: Floats, name: str, **mark
 
 
 def _band(floor: float) -> list[Figure]:
-    """The noise floor as a band, where it is known."""
+    """The noise floor as a band; empty where it is unknown."""
     if not np.isfinite(floor):
         return []
     place = {"xref": "x domain", "yref": "y", "x0": 0, "x1": 1, "y0": -floor, "y1": floor}
@@ -143,7 +143,7 @@ def _band(floor: float) -> list[Figure]:
 
 
 def ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str]]:
-    """Name, which readings, colour and marker of each direction that is there."""
+    """Name, mask of the readings, (n,), colour and marker of each direction in the data."""
     both = [(", moving +", direction > 0, "@c3", "triangle-up"), (", moving −", direction < 0, "@c2", "triangle-down")]
     there = [w for w in both if w[1].any()]
     return there if len(there) == 2 else [("", np.ones(len(direction), dtype=bool), "@c3", "circle")]
@@ -153,23 +153,23 @@ def residual_over(
     s: "SeriesView",
     over: str,
     colour: str = "",
-    wanted: Ints | None = None,
+    chosen: Ints | None = None,
     what: str = "residual",
     wrong: "Sequence[OutlierView]" = (),
 ) -> Figure:
-    """The residual, or what was measured and predicted, over a channel.
+    """The residual, or measured and predicted values, over a channel.
 
     Args:
         s: reading column.
         over: title of the channel.
-        colour: title of the channel that colours it; empty: by direction.
-        wanted: readings that are drawn.
-        what: "residual", or "measured" for the error with the prediction.
-        wrong: readings that were excluded, drawn where they are as far off as they are.
+        colour: title of the channel for the colours; empty: by direction.
+        chosen: rows of the readings that are drawn; None for the default.
+        what: "residual", or "measured" for readings and prediction.
+        wrong: excluded readings, drawn at their own residual.
     """
     x = s.channels[over]
-    y = s.left if what == "residual" else s.measured
-    rows = drawn(s, x, y) if wanted is None else wanted
+    y = s.residuals if what == "residual" else s.measured
+    rows = drawn(s, x, y) if chosen is None else chosen
     traces: list[Figure] = []
     if colour and colour in s.channels:
         shade = {
@@ -209,7 +209,7 @@ def _predicted(s: "SeriesView", x: Floats) -> list[Figure]:
     out = []
     for name, mask, tint, symbol in ways(s.direction):
         at, mean = by_place(x[mask], s.predicted[mask])
-        # Both directions are seen where they are predicted alike.
+        # Both directions stay visible where their predictions are the same.
         line = {"color": tint if name else "@ink", "width": 3, "dash": "dash" if symbol == "triangle-down" else "solid"}
         shown = f"predicted{name}"
         out.append(
@@ -227,7 +227,7 @@ def _predicted(s: "SeriesView", x: Floats) -> list[Figure]:
 
 
 def by_place(x: Floats, y: Floats, most: int = 120) -> tuple[Floats, Floats]:
-    """Mean at each place, or over stretches where there are many, (k,) each."""
+    """Mean at each place, or in intervals where there are many places, (k,) each."""
     good = np.isfinite(x) & np.isfinite(y)
     x, y = x[good], y[good]
     if not len(x):
@@ -242,10 +242,10 @@ def by_place(x: Floats, y: Floats, most: int = 120) -> tuple[Floats, Floats]:
 
 
 def over_time(s: "SeriesView", rows: Ints) -> Figure:
-    """The residual of some readings over time, with the temperatures beneath."""
+    """The residual of some readings over time, with the temperatures below."""
     title = next(t for t in s.channels if t.startswith("time "))
     x = s.channels[title]
-    traces = [_points(s, rows, x, s.left, "residual", color="@c3")]
+    traces = [_points(s, rows, x, s.residuals, "residual", color="@c3")]
     for k, name in enumerate(s.sensors):
         line = {"color": PALETTE[k % 8], "width": 2, "dash": ("solid", "dash", "dot")[k // 8 % 3]}
         thin = _ends(s.channels[name])
@@ -284,7 +284,7 @@ def _ends(values: Floats) -> Ints:
 
 def residual_map(s: "SeriesView", across: str, up: str) -> Figure:
     """Mean residual in each cell of two channels."""
-    x, y, left = s.channels[across], s.channels[up], s.left
+    x, y, left = s.channels[across], s.channels[up], s.residuals
     cuts = [np.linspace(float(v.min()), float(v.max()), _cells(v) + 1) for v in (x, y)]
     code = [np.clip(np.searchsorted(c, v, side="right") - 1, 0, len(c) - 2) for c, v in zip(cuts, (x, y), strict=True)]
     width = len(cuts[0]) - 1
@@ -318,7 +318,7 @@ def _cells(v: Floats) -> int:
 
 
 def polar(s: "SeriesView", angle_rad: Floats, rows: Ints) -> Figure:
-    """Some readings of a ball bar around its circle: measured and predicted, outwards from a ring."""
+    """Some readings of a ball bar on its circle: measured and predicted, outwards from a ring."""
     order = rows[np.argsort(angle_rad[rows], kind="stable")]
     most = max(float(np.abs(s.measured).max()), float(np.abs(s.predicted).max()), 1e-9)
     angle = numbers(np.rad2deg(angle_rad[order]))
@@ -353,7 +353,7 @@ def polar(s: "SeriesView", angle_rad: Floats, rows: Ints) -> Figure:
 
 
 def evidence_figure(e: "Evidence", title: str = "") -> Figure:
-    """The residual against what drives a finding, and the finding's own curve through it."""
+    """The residual over the driver of a finding, and the finding's curve through it."""
     traces: list[Figure] = []
     over, left = e.dots
     rows = np.arange(len(over))
@@ -412,11 +412,11 @@ def staircase(names: Sequence[str], errors: Sequence[float], floor: float | None
     """The residual on held-out runs after each step, on a log axis, down to the noise floor.
 
     Args:
-        names: of the steps.
-        errors: after each.
-        floor: noise; None where it is not known.
-        unit: of both.
-        at: step that is shown now; the others are pale.
+        names: names of the steps.
+        errors: residual after each step.
+        floor: noise floor; None where it is unknown.
+        unit: unit of errors and floor.
+        at: the current step; the others are pale.
     """
     places = list(range(len(names)))
     labels = [f"{e:.2f} {unit}" for e in errors]
@@ -473,7 +473,7 @@ def _broken(name: str) -> str:
 
 
 def bars(rows: Mapping[str, float], unit: str, title: str) -> Figure:
-    """Bars, largest at the top, each with its number."""
+    """Bars, the largest at the top, each with its number."""
     names = list(rows)[::-1]
     values = [float(rows[n]) for n in names]
     trace = {

@@ -1,4 +1,4 @@
-"""The one folder that is opened: its files by kind. Nothing outside it can be reached, whatever a name says."""
+"""The opened folder: its files by kind. No name can reach a file outside of it."""
 
 import contextlib
 import filecmp
@@ -47,9 +47,9 @@ class Listing:
 
     Attributes:
         machines, models: TOML files.
-        measurements: tables that have a TOML beside them.
+        measurements: tables with a TOML beside them.
         foreign: tables of other programs.
-        more: how many files were not looked at, because there are too many.
+        more: number of files that were not examined, because there are too many.
     """
 
     machines: tuple[str, ...] = ()
@@ -65,13 +65,13 @@ class Summary:
 
     Attributes:
         file: name of its table.
-        instrument, axis: what read it; `reads` are its reading columns.
-        rows, runs: how many.
-        hours: from first to last reading.
-        sensors: temperatures that were recorded, each with its lowest and highest value, °C.
-        span: by axis that moved, lowest and highest position, mm.
-        notes: what its reader says, in words.
-        trouble: why it cannot be used, in words; empty where it can.
+        instrument, axis: instrument and its axis; `reads` are its reading columns.
+        rows, runs: number of rows and runs.
+        hours: time from first to last reading.
+        sensors: lowest and highest value of each recorded temperature, °C.
+        span: lowest and highest position of each axis that moved, mm.
+        notes: notes of its reader, in words.
+        trouble: why it cannot be used, in words; else empty.
     """
 
     file: str
@@ -102,10 +102,10 @@ class Folder:
         object.__setattr__(self, "_real", self.root.resolve())
 
     def path(self, name: str) -> Path:
-        """Give the path of a file in this folder.
+        """Path of a file in this folder.
 
         Raises:
-            RtecError: the name leads out of the folder, or is not that of a file that may be here.
+            RtecError: the name leads out of the folder, or is not allowed here.
         """
         if not name.strip() or name.startswith(".") or len(name) > LONGEST_NAME or not name.isprintable():
             raise RtecError(
@@ -120,7 +120,7 @@ class Folder:
         return path
 
     def existing(self, name: str) -> Path:
-        """Give the path of a file that was listed; its name may be one that nobody could give here.
+        """Path of a listed file; its name need not be one that `path` allows.
 
         Raises:
             RtecError: it leads out of the folder.
@@ -131,7 +131,7 @@ class Folder:
         return path
 
     def listing(self) -> Listing:
-        """Look at the folder, its own files only."""
+        """List the folder's own files, without subfolders."""
         try:
             found = sorted(e.name for e in os.scandir(self.root) if not e.name.startswith(".") and self._is_inside(e))
         except OSError as e:
@@ -150,11 +150,11 @@ class Folder:
         )
 
     def write(self, name: str, content: bytes | Path) -> Path:
-        """Put a file into the folder: it appears whole or not at all, and takes no other file's place.
+        """Write a file into the folder: it appears whole or not at all, and replaces no other file.
 
         Args:
-            name: of it.
-            content: of it, or a file that holds it, which may be large.
+            name: name of the file.
+            content: its content, or a file with the content, which may be large.
 
         Raises:
             RtecError: the name is not possible, another file has it, or the disk is full.
@@ -175,18 +175,18 @@ class Folder:
         return path
 
     def save_model(self, model: "Model", name: str, known: bytes | None = None) -> bytes:
-        """Write a model as the command line does; what another tab or program wrote is never replaced.
+        """Write a model as the command line does; a file of another tab or program is never replaced.
 
         Args:
-            model: that is written.
-            name: of its file.
-            known: what this tab wrote into it before; None: nothing, the file must be new.
+            model: the model.
+            name: name of its file.
+            known: content that this tab wrote into the file before; None: the file must be new.
 
         Returns:
-            What the file holds now.
+            The new content of the file.
 
         Raises:
-            RtecError: the name is not possible, the file is another's, or it cannot be written.
+            RtecError: the name is not possible, the file belongs to another tab or program, or it cannot be written.
         """
         from rtec.model import save_model
 

@@ -1,7 +1,7 @@
-"""The server of the pages: it answers from the first moment, and loads what makes the pages while the browser loads.
+"""The server of the pages: it answers at once, and loads the application while the browser loads.
 
-The answer to the first page begins at once, with the names of the files that every page needs. So the browser has them
-when the page itself follows.
+The answer to the first page begins immediately with the names of the files that every page needs. So the browser
+already has them when the page itself follows.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rtec.control.messages import Role
 
 MODULE: Final = "script; crossorigin"
-"""How modules are asked for; a file that was asked for in another way would be loaded again."""
+"""Attributes of requests for modules; the browser would load a file again that was requested with others."""
 FILES: Final = {
     "vue.esm-browser.prod.js": MODULE,
     "quasar.umd.prod.js": "script",
@@ -39,23 +39,23 @@ FILES: Final = {
     "quasar.important.prod.css": "style",
     "nicegui.css": "style",
 }
-"""What NiceGUI puts on every page, by name in its folder of static files. One that is not there is not named."""
+"""Files of NiceGUI on every page, by name in its folder of static files. Missing ones are omitted."""
 TYPES: Final = {".js": b"text/javascript; charset=utf-8", ".mjs": b"text/javascript; charset=utf-8",
                 ".css": b"text/css; charset=utf-8"}  # fmt: skip
 SWITCH_S: Final = 0.0005
-"""While modules are loaded, an answer waits so long for the interpreter."""
+"""Longest wait of an answer for the interpreter while modules are loaded, s."""
 
 
 class Front:
-    """Sends the files of every page; begins a page while the application that makes it is being loaded.
+    """Sends the files of every page; begins a page while the application is being loaded.
 
     Attributes:
         app: the application; None until it is loaded.
-        failure: why it could not be loaded; None: it could.
+        failure: why it could not be loaded; else None.
 
     Args:
-        load: gives the application; it is called in a thread when the server starts.
-        failed: called where it could not be loaded.
+        load: gives the application; called in a thread when the server starts.
+        failed: called if the application could not be loaded.
     """
 
     def __init__(self, load: "Callable[[], Starlette]", failed: Callable[[], None]) -> None:
@@ -70,7 +70,7 @@ class Front:
         ]  # fmt: skip
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request, or the life of the server."""
+        """Handle one request, or the server's lifespan."""
         kind = scope["type"]
         if kind == "lifespan":
             await self._live(receive, send)
@@ -114,10 +114,10 @@ def serve(folder: Path, opened: OpenPort, attach: Path | None = None, role: "Rol
     """Serve the pages until the process is interrupted.
 
     Args:
-        folder: that is opened.
-        opened: where.
-        attach: run file of the daemon that is attached; None: none.
-        role: what the pages may do with it.
+        folder: the opened folder.
+        opened: the address.
+        attach: run file of a daemon to connect to, or None.
+        role: rights of the pages on it.
     """
 
     def load() -> "Starlette":
@@ -146,7 +146,7 @@ def serve(folder: Path, opened: OpenPort, attach: Path | None = None, role: "Rol
 
 
 def _files() -> dict[str, tuple[str, Path]]:
-    """Name and place of each of `FILES`, by the path at which pages ask for it."""
+    """Name and path of each of `FILES`, by the path of its request."""
     found = find_spec("nicegui")
     if found is None or found.origin is None:
         return {}
@@ -155,7 +155,7 @@ def _files() -> dict[str, tuple[str, Path]]:
 
 
 def _without_start(send: Send) -> Send:
-    """Sends the rest of an answer that is begun."""
+    """A `send` for the rest of an answer that has begun."""
 
     async def rest(message: Message) -> None:
         if message["type"] != "http.response.start":
@@ -166,7 +166,7 @@ def _without_start(send: Send) -> Send:
 
 @contextmanager
 def _loading() -> Iterator[None]:
-    """Load modules in a thread: the others get their turn soon, and nobody looks for garbage, then or in them later."""
+    """Context for loading modules in a thread: other threads run often, and garbage collection skips the modules."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     gc.disable()
@@ -182,9 +182,9 @@ def _loading() -> Iterator[None]:
 def _without(*names: str) -> Iterator[None]:
     """Import as if packages were not installed.
 
-    The socket library would load a client and another server first, FastAPI models of a form that nobody uses here.
+    The socket library would load a client and another server, and FastAPI models of a form; none of them is used here.
     """
-    # None means to an import that there is no such package.
+    # For an import, None means that there is no such package.
     absent = [n for n in names if n not in sys.modules]
     sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]
     try:
@@ -196,9 +196,9 @@ def _without(*names: str) -> Iterator[None]:
 
 @contextmanager
 def _deferred() -> Iterator[None]:
-    """Import modules whose forms of data are built when they are first used.
+    """Import modules with pydantic models that are built at their first use.
 
-    FastAPI declares those of a whole description of the server, which nobody asks for here.
+    FastAPI declares the models of a whole description of the server, which is not used here.
     """
     from pydantic import BaseModel, ConfigDict
 

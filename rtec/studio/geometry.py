@@ -1,7 +1,7 @@
-"""What the page Explore draws: where every link of the chain is and where its errors move it, and what a part measures.
+"""Geometry of the page Explore: place and displacement of every link of the chain, and the errors of a part.
 
-Symbols as in `rtec.machine.chain`: `δ` µm, `ε` µrad. An axis' errors are those of the tool relative to the workpiece: a
-slide on the work side is moved by their negative.
+Symbols as in `rtec.machine.chain`: `δ` µm, `ε` µrad. An axis' errors are of the tool relative to the workpiece: they
+move a slide on the work side by their negative.
 """
 
 from collections.abc import Mapping
@@ -25,9 +25,9 @@ class ChainNodes:
     """The links of one side, from the base on.
 
     Attributes:
-        names: of the links, "base" first.
+        names: names of the links, "base" first.
         place_mm: nominal origins, (n, 3).
-        moved_um: how far the errors move them, (n, 3).
+        moved_um: displacement by the errors, (n, 3).
     """
 
     names: tuple[str, ...]
@@ -37,13 +37,13 @@ class ChainNodes:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """What a cylinder of 200 mm would measure.
+    """Errors of a cylinder of 200 mm.
 
     Attributes:
         larger_um: mean diameter minus 200 mm.
-        form_um: out of round of a milled one; of a turned one the change of diameter along its length.
+        form_um: roundness of a milled cylinder; change of the diameter along the length of a turned one.
         turned: whether it is turned.
-        length_mm: along which it is turned; 0 for a milled one.
+        length_mm: length of a turned cylinder; 0 for a milled one.
     """
 
     larger_um: float
@@ -53,11 +53,11 @@ class Cylinder:
 
 
 def nodes(machine: Machine, components: Mapping[str, float], pose_mm: Mapping[str, float], side: str) -> ChainNodes:
-    """Give the links of one side of a machine.
+    """The links of one side of a machine.
 
     Args:
         machine: the machine.
-        components: µm or µrad by name; those that are not there are zero.
+        components: µm or µrad by name; missing ones are zero.
         pose_mm: position by axis.
         side: "tool" or "work".
     """
@@ -82,18 +82,18 @@ def nodes(machine: Machine, components: Mapping[str, float], pose_mm: Mapping[st
 
 
 def cylinder(model: Model, state: Mapping[str, float]) -> Cylinder:
-    """What a cylinder of 200 mm would measure that this machine cuts, uncorrected.
+    """Errors of a cylinder of 200 mm that this machine cuts uncorrected.
 
     Turned, where the spindle carries the workpiece: the axis across the spindle is at a radius of 100 mm, and the tool
     moves negative along the other over at most 200 mm. Milled otherwise: once around a circle of 100 mm about the
     middle of the travels of X and Y (or the first two axes), counter-clockwise.
 
     Args:
-        model: whose machine cuts it.
-        state: temperatures, spindle speed, positions of the other axes; names as `Model.predict` takes them.
+        model: model of the machine.
+        state: temperatures, spindle speed, positions of the other axes; names as for `Model.predict`.
 
     Raises:
-        RtecError: it does not fit into the travels.
+        RtecError: the cylinder does not fit into the travels.
     """
     machine = model.machine
     return _turned(model, state) if any("spindle" in n for n in machine.work_chain) else _milled(model, state)
@@ -129,7 +129,7 @@ def _milled(model: Model, state: Mapping[str, float]) -> Cylinder:
     at |= {f"dir_{first.name}": np.where(sin > 0.0, -1.0, 1.0), f"dir_{second.name}": np.where(cos >= 0.0, 1.0, -1.0)}
     error = model.predict(at)
     outward = error[:, "XYZ".index(first.direction)] * cos + error[:, "XYZ".index(second.direction)] * sin
-    # The place of the circle is no error of its form.
+    # The position of the circle is no error of its form.
     fit = np.stack([np.ones(AROUND), cos, sin], axis=1)
     values = np.linalg.lstsq(fit, outward, rcond=None)[0]
     return Cylinder(2.0 * float(values[0]), float(np.ptp(outward - fit @ values)), False)

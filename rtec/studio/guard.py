@@ -1,7 +1,7 @@
-"""Who may open the pages: whoever has the key of this start, from pages of this address, over this address.
+"""Access control: a request needs the key of this start, and must come from pages of this address, over this address.
 
-Every request needs the key, as other users of this computer reach its loopback too. The key comes once in the address
-that is printed, and is then kept in a cookie that no script reads. A page may load and reach nothing but this server.
+Every request needs the key, as other users of this computer reach its loopback, too. The printed address has the key
+once; then it is kept in a cookie that scripts cannot read. A page can load from and connect to this server only.
 """
 
 import hmac
@@ -18,8 +18,8 @@ POLICY: Final = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' blob:; "
     "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
-"""Vue and WebGL plots compile their templates in the page, which needs 'unsafe-eval'; a script in a text needs the
-nonce, which is another for every page."""
+"""Vue and WebGL plots compile their templates in the page, which needs 'unsafe-eval'; an inline script needs the nonce,
+which differs for every page."""
 HEADERS: Final = (
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
@@ -30,19 +30,19 @@ _SCRIPT: Final = re.compile(rb"<script\b")
 
 
 class Guard:
-    """Lets only those in who have the key; adds the policy to every page.
+    """Admits only requests with the key; adds the policy to every page.
 
     Args:
-        app: what is guarded.
+        app: the guarded application.
         token: the key.
-        port: of the server, as cookies are shared between ports.
+        port: port of the server, as ports share cookies.
     """
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:
         self.app, self._token, self._cookie = app, token, f"rtec-studio-{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
+        """Handle one request."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
@@ -106,11 +106,11 @@ class _WithPolicy:
         if message["type"] == "http.response.start":
             policy = (b"content-security-policy", POLICY.format(nonce=self._nonce).encode())
             self._is_page = _header(message, b"content-type").startswith(b"text/html")
-            # A page is longer by the nonces than it says.
+            # The nonces make a page longer than its header states.
             kept = [(k, v) for k, v in message["headers"] if not self._is_page or k.lower() != b"content-length"]
             message["headers"] = [*kept, policy, *HEADERS]
         elif message["type"] == "http.response.body" and self._is_page:
-            # A tag may be cut in two: its first half waits for the second.
+            # A tag may be split between two messages: its first half waits for the second.
             text = self._kept + message.get("body", b"")
             cut = text.rfind(b"<") if message.get("more_body") else len(text)
             self._kept = text[cut:] if cut >= 0 else b""

@@ -1,7 +1,7 @@
-"""Work that takes longer than a moment: in a process of its own, with progress, questions, and a way to cancel.
+"""Jobs: longer work in a process of its own, with progress, questions, and cancellation.
 
-A process is forked from a server that has loaded everything already; so it begins at once, and ending it loses nothing
-of the page. Results come back through a pipe of our own child; no file and no client is ever unpickled.
+A process is forked from a server that has already loaded everything, so that it begins at once, and ending it does not
+affect the page. Results come through a pipe from our own child process; nothing from a file or a client is unpickled.
 """
 
 import asyncio
@@ -22,21 +22,21 @@ PRELOAD: Final = ["rtec.studio.preload"]
 
 
 class Cancelled(Exception):
-    """The work was cancelled by the person who began it."""
+    """The user cancelled the job."""
 
 
 class Reporter(Protocol):
-    """How work reports from its process, and asks."""
+    """Connection of a job's process to the page: progress and questions."""
 
     def stage(self, what: str, done: int, total: int) -> None:
-        """Say how far it is."""
+        """Report progress: name of the stage, steps done, and their total."""
 
     def ask(self, question: object) -> Any:
-        """Ask the page; give its answer."""
+        """Ask the page a question; give its answer."""
 
 
 class _Line:
-    """The work's end of the pipe."""
+    """The job's end of the pipe."""
 
     def __init__(self, pipe: "Connection[Any, Any]") -> None:
         self._pipe = pipe
@@ -53,7 +53,7 @@ class _Line:
 
 
 def warm_up() -> None:
-    """Start the server that processes are forked from; it loads on by itself."""
+    """Start the server from which processes are forked; it continues loading in the background."""
     from multiprocessing import forkserver
 
     _context()
@@ -61,20 +61,20 @@ def warm_up() -> None:
 
 
 def fault(e: Exception) -> str:
-    """What a page says of a fault of ours; the terminal shows where it is."""
+    """Message of a page on a bug of rtec; the terminal shows the traceback."""
     traceback.print_exception(e, file=sys.stderr)
     return f"a fault of rtec itself: {type(e).__name__}: {e}; the terminal shows where"
 
 
 def _context() -> "multiprocessing.context.ForkServerContext":
-    """Of a server that has loaded what work needs, whoever starts it."""
+    """Context of a fork server that loads the modules of jobs."""
     made = multiprocessing.get_context("forkserver")
     made.set_forkserver_preload(PRELOAD)
     return made
 
 
 def _work(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    with contextlib.suppress(ConnectionError):  # nobody waits for it any more
+    with contextlib.suppress(ConnectionError):  # the page no longer waits
         _report(pipe, task, args)
 
 
@@ -90,16 +90,16 @@ def _report(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[
 
 
 class Job:
-    """One piece of work.
+    """One job.
 
     Attributes:
-        title: what it is, in words.
-        what, done, total: how far it is; `total` 0 where nobody knows.
+        title: description in words.
+        what, done, total: progress: stage, steps done, and their total; `total` is 0 where it is unknown.
 
     Args:
         title: see above.
-        changed: called whenever it is further.
-        asked: answers what the work asks.
+        changed: progress callback: called without arguments after every change.
+        asked: answers the questions of the job.
     """
 
     def __init__(
@@ -111,11 +111,11 @@ class Job:
         self._ended: asyncio.Future[Any] | None = None
 
     async def run(self, task: Callable[[Reporter, *Ts], R], *args: *Ts) -> R:
-        """Do it; give the result.
+        """Run a task in its process; give the result.
 
         Raises:
-            RtecError: what the work says against it.
-            Cancelled: by `cancel`.
+            RtecError: the task failed; the message has the reason.
+            Cancelled: `cancel` was called.
         """
         loop = asyncio.get_running_loop()
         self._ended = loop.create_future()
@@ -138,7 +138,7 @@ class Job:
                 self._process.kill()
 
     def cancel(self) -> None:
-        """End it."""
+        """End the process."""
         if self._ended is not None and not self._ended.done():
             self._ended.set_exception(Cancelled(self.title))
 

@@ -1,6 +1,7 @@
-"""A running daemon as the pages see it: asked again and again over its socket, whoever looks; never by the loop.
+"""Connection of the pages to a running daemon: polls its status over its socket, which the loop does not serve.
 
-One connection serves all tabs. Five times a second while somebody looks, else once a second, for the sparklines.
+One connection serves all tabs. It polls five times a second while a page shows the status, else once a second for the
+sparklines.
 """
 
 import asyncio
@@ -21,7 +22,7 @@ LOOKED_S, ALONE_S, AGAIN_S = 0.2, 1.0, 1.0
 NAME: Final = "studio"
 SECOND, MINUTE = 1.0, 60.0
 MINUTES, HOURS = 600, 1440
-"""Points that are kept of every second, and of every minute."""
+"""Number of stored points, one a second and one a minute."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,9 @@ class LiveLink:
     """The connection to a daemon.
 
     Attributes:
-        config: its run file; `role` is what the pages may.
-        status: its newest answer; None before the first, or while it does not answer (`trouble` says why).
-        minutes, hours: what the sparklines show.
+        config: its run file; `role` has the rights of the pages.
+        status: its newest answer; None before the first, or while it does not answer (`trouble` has the reason).
+        minutes, hours: points of the sparklines.
 
     Args:
         config: see above.
@@ -56,7 +57,7 @@ class LiveLink:
         self._client: Client | None = None
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """By axis: correction beyond which it is flagged, and beyond which it is not followed, µm."""
+        """Limits by axis, µm: correction above which it is flagged, and above which it is not followed."""
         try:
             tables = tomllib.loads(self.config.read_text(encoding="utf-8")).get("limits", {})
             return {axis: (float(t["warning_um"]), float(t["stop_um"])) for axis, t in tables.items()}
@@ -64,15 +65,15 @@ class LiveLink:
             return {}
 
     def look(self, key: int, changed: Callable[[], None]) -> None:
-        """Call a page whenever there is a newer status."""
+        """Register a callback that is called after each new status."""
         self._looking[key] = changed
 
     def leave(self, key: int) -> None:
-        """Call it no more."""
+        """Remove a callback."""
         self._looking.pop(key, None)
 
     async def follow(self) -> None:
-        """Ask, for as long as the pages are served."""
+        """Poll the daemon until the server ends."""
         while True:
             try:
                 self.status, self.trouble = await asyncio.to_thread(self._ask), ""
@@ -85,10 +86,10 @@ class LiveLink:
             await asyncio.sleep(AGAIN_S if self.status is None else LOOKED_S if self._looking else ALONE_S)
 
     async def order(self, name: str, text: str = "") -> Outcome:
-        """Give an order, and wait until it is carried out.
+        """Give an order, and wait for its outcome.
 
         Raises:
-            RtecError: it is not taken, or the daemon does not answer.
+            RtecError: the order is refused, or the daemon does not answer.
         """
         return await asyncio.to_thread(self._order, name, text)
 

@@ -1,4 +1,4 @@
-"""What the pages are put together from: sentences, tables, commands to copy. Every text is text, never HTML."""
+"""Parts of the pages: sentences, tables, commands to copy. Every text is plain text, never HTML."""
 
 import contextlib
 import re
@@ -25,7 +25,7 @@ COMMAS_OF_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*|[+-]?\d{1,3}(,\d{3
 
 
 class Words(TextElement):
-    """An HTML element with a text in it; the text is shown as it is."""
+    """An HTML element with a plain text."""
 
     def __init__(self, tag: str, text: str, kind: str = "") -> None:
         super().__init__(tag=tag, text=clean_lines(text))
@@ -34,12 +34,12 @@ class Words(TextElement):
 
 
 def number(text: str) -> float:
-    """Read a number as it is written in German or English: 12,5 and 12.5, 1.234,5 and 1,234.5.
+    """Read a number in German or English notation: 12,5 and 12.5, 1.234,5 and 1,234.5.
 
-    One mark alone is the decimal one.
+    A single mark is the decimal one.
 
     Raises:
-        RtecError: it is none.
+        RtecError: the text is no number.
     """
     plain = re.sub(r"[\s\u00a0\u202f']", "", text).replace("−", "-")
     if POINTS_OF_THOUSANDS.fullmatch(plain):
@@ -54,17 +54,17 @@ def number(text: str) -> float:
 
 
 def from_home(path: str) -> str:
-    """A path as people say it: from their own folder on, where it is in that."""
+    """A path with `~` for the user's home folder, if it is in that."""
     with contextlib.suppress(ValueError, RuntimeError):
         return str("~" / Path(path).relative_to(Path.home()))
     return path
 
 
 class Area:
-    """A part of a page that is built again by itself, so that the rest keeps its place, its texts and the focus.
+    """A part of a page that is rebuilt alone, so that the rest keeps its position, its texts and the focus.
 
     Args:
-        build: puts its content there.
+        build: adds its content.
     """
 
     def __init__(self, build: Callable[[], None]) -> None:
@@ -74,11 +74,11 @@ class Area:
 
     @property
     def is_gone(self) -> bool:
-        """Whether the page that it was on is no longer shown."""
+        """Whether its page is no longer shown."""
         return self._box.is_deleted
 
     def redo(self) -> None:
-        """Build it again."""
+        """Rebuild the content."""
         if not self._box.is_deleted:
             self._box.clear()
             with self._box:
@@ -86,13 +86,13 @@ class Area:
 
 
 def draft(session: TabSession, key: str, label: str, value: str = "", placeholder: str = "") -> ui.input:
-    """A text field whose text outlives the page.
+    """A text field whose text the session keeps for later visits of the page.
 
     Args:
-        session: that keeps it.
-        key: under which it is kept.
-        label: of the field.
-        value: at the beginning.
+        session: keeps the text.
+        key: key of the text in the session.
+        label: label of the field.
+        value: initial text.
         placeholder: an example.
     """
 
@@ -107,32 +107,32 @@ Field = TypeVar("Field", bound=ValidationElement[Any])
 
 
 def at_fault(session: TabSession, key: str, field: Field) -> Field:
-    """The field, with why the last work failed where that is because of it."""
-    if said := session.trouble_at(key):
-        field.error = clean_lines(said)
+    """The field, with the reason of the last failure if it belongs to this field."""
+    if message := session.trouble_at(key):
+        field.error = clean_lines(message)
         field.classes("at-fault")
     return field
 
 
 def heading(text: str) -> None:
-    """The page's own heading."""
+    """The heading of the page."""
     Words("h1", text)
 
 
 def trouble(session: TabSession, place: str) -> None:
-    """Why the last work failed, where that belongs to this place of the page."""
-    if said := session.trouble_at(place):
+    """Show the reason of the last failure if it belongs to this place of the page."""
+    if message := session.trouble_at(place):
         with ui.element("div").classes("card bad at-fault").props('role="alert"'):
-            Words("p", said, "trouble")
+            Words("p", message, "trouble")
 
 
 def waiting(session: TabSession, sentence: str, begin: Callable[[TabSession], Awaitable[Any]]) -> None:
-    """Say what a page waits for, and begin it; after a failure it is begun again by a button.
+    """Begin a job, and show a sentence until it ends; after a failure a button begins it again.
 
     Args:
         session: the tab.
-        sentence: what is being done.
-        begin: begins it.
+        sentence: description of the job.
+        begin: begins the job.
     """
     if session.trouble:
         with ui.element("div").classes("row"):
@@ -144,7 +144,7 @@ def waiting(session: TabSession, sentence: str, begin: Callable[[TabSession], Aw
 
 
 async def _or_say_why(session: TabSession, begin: Callable[[TabSession], Awaitable[Any]]) -> None:
-    """Begin what a page waits for; where that fails, the page says why: else it would wait for ever."""
+    """Begin a job; on any failure the page shows the reason: otherwise it would wait for ever."""
     try:
         await begin(session)
     except Exception as e:  # noqa: BLE001 - see above
@@ -153,7 +153,7 @@ async def _or_say_why(session: TabSession, begin: Callable[[TabSession], Awaitab
 
 
 def soon(begin: Callable[[], Awaitable[Any]]) -> None:
-    """Begin work once the page is sent. It goes on where its part of the page is gone meanwhile."""
+    """Begin a job after the page is sent. It continues even if its part of the page is removed."""
 
     def start() -> None:
         background_tasks.create(begin(), name="begun by a page")
@@ -162,7 +162,7 @@ def soon(begin: Callable[[], Awaitable[Any]]) -> None:
 
 
 def lacking(session: TabSession) -> bool:
-    """Say what is missing before anything can be shown here; gives whether something is."""
+    """Show what the page lacks (measurements, machine, model); gives whether it lacks something."""
     if not session.lacks:
         return False
     with ui.element("div").classes("card"):
@@ -175,11 +175,11 @@ def button(text: str, action: Callable[[], Any], *, main: bool = False, off: str
     """A button.
 
     Args:
-        text: on it.
-        action: what it does.
-        main: whether it is the one to press next.
-        off: why it cannot be pressed now; empty where it can.
-        bad: whether it takes something away.
+        text: its label.
+        action: called on a click.
+        main: whether it is the suggested next step.
+        off: why it is disabled; empty where it is enabled.
+        bad: whether it removes something.
     """
     made = ui.button(text, on_click=action, color=None).props("no-caps unelevated")
     made.classes("main" if main else "plain bad" if bad else "plain")
@@ -190,7 +190,7 @@ def button(text: str, action: Callable[[], Any], *, main: bool = False, off: str
 
 
 def label(element: Element, text: str) -> Element:
-    """Name an element for those who cannot see it."""
+    """Name an element for people who cannot see it."""
     element.props["aria-label"] = clean_lines(text)
     return element
 
@@ -222,7 +222,7 @@ def table(content: "Table") -> None:
 
 
 def section(content: "Section", *, opened: bool = False) -> None:
-    """A section of a report, folded up."""
+    """A section of a report, folded unless `opened`."""
     if content.table is None and not content.text:
         return
     with ui.element("details").classes("card").props("open" if opened else ""):

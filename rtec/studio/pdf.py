@@ -1,4 +1,4 @@
-"""A report as a PDF: sentences, tables and figures below each other on pages of A4, by matplotlib alone."""
+"""A report as a PDF: sentences, tables and figures on pages of A4, drawn by matplotlib."""
 
 from io import BytesIO
 from textwrap import wrap
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 Pixels = NDArray[np.float32]
 WIDE_IN, HIGH_IN, EDGE_IN = 8.27, 11.69, 0.8
 LEAD, HEAD, TEXT, CELL = 14.0, 13.0, 10.0, 8.0
-"""Sizes of type, points."""
+"""Font sizes, points."""
 LINE: Final = 1.35
-"""Distance of lines, in their size."""
+"""Line spacing, in font sizes."""
 SMALLEST: Final = 0.7
-"""How much a figure may shrink to stay on the page that has room."""
+"""Smallest scale of a figure that is shrunk to fit on the present page."""
 POINTS_PER_IN, WORDS_WIDE, MONO_WIDE = 72.0, 0.52, 0.602
-"""Mean width of a letter, and width of a monospaced one, in its size."""
+"""Mean width of a letter, and width of a monospaced one, in font sizes."""
 
 
 def pdf_of(page: Page) -> bytes:
-    """Give a report as a PDF; the same report gives the same bytes."""
+    """A report as a PDF; the same report gives the same bytes."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
 
@@ -40,13 +40,13 @@ def pdf_of(page: Page) -> bytes:
 
 
 class _Sheet:
-    """The page that is being filled; full, the next one begins."""
+    """The page that is being filled; a full one is saved and a new one begins."""
 
     def __init__(self, pages: "PdfPages") -> None:
         self._pages, self._figure, self._left = pages, self._new(), HIGH_IN - 2.0 * EDGE_IN
 
     def fill(self, page: Page) -> None:
-        """Put everything on pages."""
+        """Write the whole report."""
         self._text(page.title, 18.0, weight="bold")
         self._text(page.lead, LEAD)
         for value, meaning in page.numbers:
@@ -96,7 +96,7 @@ class _Sheet:
         self._figure.text(EDGE_IN / WIDE_IN, y, words, fontsize=size, va="bottom", **style)
 
     def _table(self, table: Table) -> None:
-        """In monospaced letters; columns of words are cut where the table is too wide."""
+        """Write a table in monospaced letters; columns of words are cut if it is too wide."""
         rows = [[clean_lines(c).replace("\n", " ") for c in row] for row in (table.head, *table.rows)]
         widths = [max(len(row[k]) for row in rows) for k in range(len(table.head))]
         most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (MONO_WIDE * CELL))
@@ -110,7 +110,7 @@ class _Sheet:
             self._text(table.caption, CELL)
 
     def _image(self, picture: Pixels) -> None:
-        """As wide as the page; smaller where that saves a new one."""
+        """Place a picture in the width of the page, or smaller if that saves a new page."""
         full = _height_in(picture)
         self._need(SMALLEST * full)
         high = min(full, self._left)
@@ -129,7 +129,7 @@ def _picture(png: bytes) -> Pixels:
 
 
 def _height_in(picture: Pixels) -> float:
-    """Of a picture as wide as the page, or as high."""
+    """Height of a picture in the width of the page, at most that of the page."""
     wide = WIDE_IN - 2.0 * EDGE_IN
     return float(min(wide * picture.shape[0] / picture.shape[1], HIGH_IN - 2.0 * EDGE_IN - 1.0))
 

@@ -1,4 +1,4 @@
-"""What work needs, loaded once in the process that those of all work are forked from."""
+"""Modules of the jobs, loaded once in the process from which all jobs are forked."""
 
 import numpy as np
 import pyarrow.csv
@@ -17,5 +17,5 @@ from rtec.effects.derived import direction_track
 
 __all__ = ["np", "pyarrow", "rtec", "scipy"]
 
-# The first compiled function that is called has numba load all that it knows: longer than all the rest.
+# The first call of a compiled function makes numba load everything, which takes longer than all the rest.
 direction_track(np.zeros(2), 0.0)

@@ -1,4 +1,4 @@
-"""What one browser tab works on: one typed object, from the opened folder to the steps of the model."""
+"""The session of one browser tab: one typed object, from the opened folder to the steps of the model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NO_FIELDS: Final[Mapping[str, str]] = {}
 
 
 def blamed(message: str, fields: Mapping[str, str], beside: str) -> tuple[str, str]:
-    """What to show, and where: beside the field of the option that a message begins with, else at another place."""
+    """Message and place of an error: the field of the option with which the message begins, else `beside`."""
     option = message.partition(" ")[0].removesuffix(":")
     return (message.removeprefix(f"{option}: "), fields[option]) if option in fields else (message, beside)
 
@@ -33,12 +33,12 @@ class ModelStep:
     """One state of the model.
 
     Attributes:
-        model: as it is.
-        label: what was done to get here, in words.
-        words: of the command that does it, behind `rtec`, without model and files; empty for the model as it was read.
-        added: what came of it; None for the model as it was read.
-        compared, diagnosed: once they were made.
-        residual: reading columns that can be drawn before it is compared, their noise not known yet.
+        model: the model.
+        label: the change that led to it, in words.
+        words: words of the equivalent command after `rtec`, without model and files; empty for the model of the file.
+        added: result of the change; None for the model of the file.
+        compared, diagnosed: results, once they exist.
+        residual: reading columns that can be drawn before the comparison, without their noise.
     """
 
     model: Model
@@ -55,10 +55,10 @@ class ForeignFile:
     """A file of another program on its way to a measurement.
 
     Attributes:
-        name: of the file.
-        answers: to what it does not say, by key of the question.
-        edited: columns of the map as they were changed; None: as they are proposed.
-        looked: what it would become; None before it was looked at.
+        name: name of the file.
+        answers: answers by key of the question.
+        edited: columns of the map that the user changed; None: as proposed.
+        looked: preview; None before the first one.
     """
 
     name: str
@@ -72,25 +72,25 @@ class TabSession:
     """One tab.
 
     Attributes:
-        folder: that is opened.
+        folder: the opened folder.
         listing: its files.
-        machine, model: names of the files that are used; empty: none yet.
-        chosen: names of the measurements that are used.
-        summaries: of all measurements.
-        steps: the model as it was read, and after each addition; `at` is where undo and redo have gone.
-        saved: name of the file that holds the step, by number of the step.
-        written: what this tab wrote, by name of the file.
-        job: what runs now; None: nothing.
-        trouble: why the last work failed, in a sentence; `beside` is the place or field of a page that it belongs to.
+        machine, model: names of the chosen files; empty: none yet.
+        chosen: names of the chosen measurements.
+        summaries: summaries of all measurements.
+        steps: the model of the file, and after each addition; `at` is the current one (undo and redo).
+        saved: name of the file of a saved step, by number of the step.
+        written: content of the files that this tab wrote, by name.
+        job: the running job, or None.
+        trouble: why the last job failed, in a sentence; `beside` is the place or field of a page to which it belongs.
         improved: why the last improvement ended.
-        question: what the work asks now, with the answer that it waits for.
-        rank: candidate that is shown.
+        question: the job's present question, with the future of its answer.
+        rank: the shown candidate.
         view: texts of fields and settings of plots, by name.
-        foreign: the file of another program that is being imported; None: none.
-        live: the daemon that is attached; None: none.
-        report: the last one, and the step that it is of.
-        on_progress, on_change, on_names: show again how far the work is, the whole page, the names above it.
-        on_compared: puts a comparison into a page that shows its residual already; gives whether there is one.
+        foreign: the file of another program that is being imported, or None.
+        live: connection to a daemon, or None.
+        report: the last report, and its step.
+        on_progress, on_change, on_names: redraw the progress, the whole page, or the names at its top.
+        on_compared: adds a comparison to a page that already shows its residual; gives whether there is such a page.
     """
 
     folder: Folder
@@ -121,12 +121,12 @@ class TabSession:
 
     @property
     def step(self) -> ModelStep | None:
-        """Where undo and redo are; None before a model was read."""
+        """The current step (undo and redo); None before a model was read."""
         return self.steps[self.at] if self.steps else None
 
     @property
     def files(self) -> list[Path]:
-        """Tables of the measurements that are used."""
+        """Tables of the chosen measurements."""
         return [self.folder.existing(name) for name in self.chosen]
 
     @property
@@ -136,12 +136,12 @@ class TabSession:
 
     @property
     def model_path(self) -> Path:
-        """File of the model as it was read."""
+        """File of the chosen model."""
         return self.folder.existing(self.model)
 
     @property
     def lacks(self) -> str:
-        """What is missing before a model can be compared, in a sentence; empty where nothing is."""
+        """What is missing for a comparison, in a sentence; empty where nothing is."""
         if not self.machine:
             return "Choose a machine file on the page Measurements."
         if not self.chosen:
@@ -149,9 +149,9 @@ class TabSession:
         return "" if self.model else "Choose or fit a model on the page Measurements."
 
     def look(self) -> None:
-        """Read the folder's listing; what is gone is no longer chosen, and what is the only one of its kind is.
+        """Read the folder's listing; deleted files are no longer chosen, and the only one of its kind is chosen.
 
-        A model that is gone stays chosen while additions to it are not saved.
+        A deleted model stays chosen while additions to it are not saved.
         """
         try:
             self.listing = self.folder.listing()
@@ -160,34 +160,34 @@ class TabSession:
             self.fail(str(e))
         self.machine = _kept(self.machine, self.listing.machines)
         model = _kept(self.model, self.listing.models)
-        if model != self.model and len(self.steps) <= 1:  # else what was added would be lost with the file
+        if model != self.model and len(self.steps) <= 1:  # else additions would be lost with the file
             self.model = model
             self.forget()
         self.chosen = tuple(n for n in self.chosen if n in self.listing.measurements)
 
     def forget(self) -> None:
-        """Forget every step: model or measurements are others."""
+        """Remove all steps, because the model or the measurements changed."""
         self.steps, self.at, self.saved, self.improved, self.rank = (), 0, {}, "", 1
 
     def push(self, step: ModelStep) -> None:
-        """Go on from here; what was undone is gone."""
+        """Add a step after the current one; undone steps are removed."""
         self.steps = (*self.steps[: self.at + 1], step)
         self.at = len(self.steps) - 1
         self.saved = {k: name for k, name in self.saved.items() if k < self.at}
         self.rank = 1
 
     def keep(self, **known: Any) -> None:
-        """Keep with this step what was worked out about it."""
+        """Store results with the current step."""
         steps = list(self.steps)
         steps[self.at] = replace(steps[self.at], **known)
         self.steps = tuple(steps)
 
     def fail(self, why: str, beside: str = "") -> None:
-        """Keep why something failed, and the place of a page where that is shown; by default its head."""
+        """Store the reason of a failure, and the place of a page that shows it; by default its head."""
         self.trouble, self.beside = why, beside
 
     def trouble_at(self, place: str) -> str:
-        """The trouble that belongs to a place; empty: none."""
+        """The failure that belongs to a place; empty where there is none."""
         return self.trouble if self.beside == place else ""
 
     async def work(
@@ -198,21 +198,21 @@ class TabSession:
         beside: str = "",
         fields: Mapping[str, str] = NO_FIELDS,
     ) -> R | None:
-        """Have work done in another process; None where it failed (`trouble` says why) or was cancelled.
+        """Run a task in another process; None where it failed (`trouble` has the reason) or was cancelled.
 
         Args:
-            title: in words.
-            task: what is done.
-            args: given to it.
-            beside: place of a page that shows what went wrong.
-            fields: fields that do instead, by the option of the command line that the message begins with.
+            title: description in words.
+            task: the task.
+            args: its arguments.
+            beside: place of a page that shows an error.
+            fields: fields that show it instead, by the option with which the message begins.
         """
         if self.job is not None:
             self.fail(f"{self.job.title} is not finished; wait for it, or cancel it.", beside)
             self.on_change()
             return None
         self.fail("")
-        self.job = Job(title, self.on_progress_now, self._asked)
+        self.job = Job(title, self.on_progress_now, self._ask)
         self.on_progress()
         try:
             return await self.job.run(task, *args)
@@ -227,17 +227,17 @@ class TabSession:
         return None
 
     def on_progress_now(self) -> None:
-        """What the tab shows may be another function by now."""
+        """Call `on_progress`, looked up at each call: another page may have replaced it."""
         self.on_progress()
 
     def answer(self, value: Any) -> None:
-        """Answer what the work asks."""
+        """Answer the job's present question."""
         if self.question is not None and not self.question[1].done():
             question, self.question = self.question, None
             question[1].set_result(value)
             self.on_change()
 
-    def _asked(self, question: Any) -> asyncio.Future[Any]:
+    def _ask(self, question: Any) -> asyncio.Future[Any]:
         from rtec.studio.tasks import ResidualKnown, StepDone
 
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()

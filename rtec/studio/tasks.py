@@ -1,7 +1,7 @@
-"""What a worker process does for a page: load, compare, diagnose, add, improve, fit. Results are small and plain.
+"""Tasks of a worker process for a page: load, compare, diagnose, add, improve, fit. Results are small and plain.
 
-Each task takes who it reports to first. The numbers are those of the command line: the same functions with the same
-arguments.
+The first argument of each task is its reporter. The numbers are those of the command line: the same functions with the
+same arguments.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,20 +37,20 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SeriesView:
-    """One reading column, reading by reading, ready to be drawn.
+    """One reading column, reading by reading, for figures.
 
     Attributes:
-        name: of the measurement, with its column where it has several.
+        name: name of the measurement, with its column where it has several.
         unit: "µm" or "µrad".
-        row, run: place in the file, counted from 1, and run, (n,).
-        channels: title with unit, and values (n,), of everything that it can be drawn over, most useful first.
-        sensors: titles of those that are temperatures.
+        row, run: row in the file, from 1, and run, (n,).
+        channels: values, (n,), of every channel for a horizontal axis, by title with unit, most useful first.
+        sensors: titles of the temperatures among them.
         direction: -1, 0, +1, (n,).
         measured, predicted: (n,).
-        floor: noise, root mean square; NaN while it is not known.
-        residual: its root mean square.
+        floor: noise, root mean square; NaN while it is unknown.
+        residual: root mean square of the residual.
         first: number of its first reading among those of all columns.
-        angle_rad: of a ball bar's readings, (n,); None for other instruments.
+        angle_rad: angles of a ball bar's readings, (n,); None for other instruments.
     """
 
     name: str
@@ -68,7 +68,7 @@ class SeriesView:
     angle_rad: Floats | None = None
 
     @property
-    def left(self) -> Floats:
+    def residuals(self) -> Floats:
         """Residual, (n,)."""
         return self.measured - self.predicted
 
@@ -78,7 +78,7 @@ class SeriesView:
 
 @dataclass(frozen=True)
 class OutlierView:
-    """A reading that was excluded as wrong: where it is, how far off, in which unit; and its channels, by title."""
+    """An outlier: its place, its residual with unit, and its channels, by title."""
 
     measurement: str
     column: str
@@ -94,9 +94,9 @@ class CompareView:
     """A comparison.
 
     Attributes:
-        page: in sentences and tables, without figures.
+        page: sentences and tables, without figures.
         series: every reading column.
-        outliers: readings that do not count.
+        outliers: excluded readings.
         facts: as `rtec compare --json` prints them.
     """
 
@@ -112,8 +112,8 @@ class DiagnosisView:
 
     Attributes:
         found: the diagnosis, without the readings.
-        page: in sentences and tables, without figures.
-        curves: by rank, what shows the candidate in the residual; 0 is the shape without a name.
+        page: sentences and tables, without figures.
+        curves: evidence of each candidate in the residual, by rank; 0 is the shape without a name.
     """
 
     found: "Diagnosis"
@@ -123,7 +123,7 @@ class DiagnosisView:
 
 @dataclass(frozen=True)
 class AddedView:
-    """An addition: what was made of it, its page without figures, and the readings under the new model."""
+    """An addition: its result, its page without figures, and the readings with the new model."""
 
     added: "Added"
     page: "Page"
@@ -131,7 +131,7 @@ class AddedView:
 
 
 def summaries(line: Reporter, folder: Path, names: Sequence[str], machine: Path) -> tuple[Summary, ...]:
-    """Look at measurements, one after the other; one that cannot be read says why."""
+    """Summaries of measurements; that of an unreadable one has the reason."""
     known, out = rtec.load_machine(machine), []
     for i, name in enumerate(names):
         line.stage("reading the measurements", i, len(names))
@@ -176,12 +176,12 @@ def load_model(line: Reporter, model: Path, machine: Path) -> "Model":
 
 
 MANY = 20_000
-"""Of so many readings the residual is shown before its noise is known: that takes long."""
+"""From this number of readings on, the residual is shown before its noise, which takes long to estimate."""
 
 
 @dataclass(frozen=True)
 class ResidualKnown:
-    """Told to the page as soon as it can draw the residual; floors are NaN."""
+    """Sent to the page as soon as it can draw the residual; floors are NaN."""
 
     series: tuple[SeriesView, ...]
 
@@ -190,10 +190,10 @@ def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) 
     """Compare a model with measurements.
 
     Args:
-        line: reported to; it is asked a `ResidualKnown` where there are many readings.
+        line: the reporter; it gets a `ResidualKnown` where there are many readings.
         model: the model.
         files: tables of the measurements.
-        named: how the model is called in the command to type next.
+        named: path of the model in the suggested next command.
     """
 
     def known(traces: "Traces") -> None:
@@ -214,7 +214,7 @@ def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
 
 
 def _channels_at(c: "Comparison", w: "WrongReading") -> dict[str, float]:
-    """Every channel at a wrong reading, by title."""
+    """Every channel at an outlier, by title."""
     readings = c.traces.readings
     s = next((s for s in readings.series if readings.measurements[s.source].name == w.measurement), None)
     if s is None:
@@ -227,7 +227,7 @@ def _channels_at(c: "Comparison", w: "WrongReading") -> dict[str, float]:
 
 
 def _page(result: "Result", files: Sequence[Path]) -> "Page":
-    """The page of a result without figures; the commands on it name the files as they are called in the folder."""
+    """The page of a result without figures; its commands have the files' names in the folder."""
     page: Page = replace(result, files=tuple(Path(f.name) for f in files)).page(figures=False)
     return page
 
@@ -264,7 +264,7 @@ TIME = "time since the first reading, h"
 def _channels(
     readings: "Readings", s: "Series", axes_of: "Series | None" = None
 ) -> tuple[dict[str, Floats], tuple[str, ...], Floats]:
-    """What a reading column can be drawn over; which of it are temperatures; the direction along the first axis."""
+    """Channels for the horizontal axis of a reading column; temperatures among them; directions of the first axis."""
     from rtec.diagnosis.words import titled
 
     state, machine = readings.states[s.source], readings.machine
@@ -292,7 +292,7 @@ def _channels(
 
 
 def diagnose(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> DiagnosisView:
-    """Find what a model misses."""
+    """Diagnose a model."""
     found = rtec.diagnose(model, files, progress=line.stage)
     line.stage("drawing the candidates", 0, 0)
     return _diagnosed(found, [named, *files], machine)
@@ -304,7 +304,7 @@ def _diagnosed(found: "Diagnosis", files: Sequence[Path], machine: Path) -> Diag
 
 
 SHOWN = 8
-"""Candidates that get a card and a curve."""
+"""Number of candidates with a card and a curve."""
 
 
 def _curves(d: "Diagnosis") -> dict[int, "tuple[Evidence, ...]"]:
@@ -324,14 +324,14 @@ def _curves(d: "Diagnosis") -> dict[int, "tuple[Evidence, ...]"]:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """An effect as `rtec add` takes it.
+class EffectRequest:
+    """An effect with the arguments of `rtec add`.
 
     Attributes:
         effect: its name; empty with `expression`.
-        component: that it feeds.
+        component: component error that it feeds.
         settings: other arguments, key=value.
-        expression, parameters: of an effect of one's own.
+        expression, parameters: the user's own effect.
     """
 
     effect: str = ""
@@ -341,8 +341,8 @@ class Wanted:
     parameters: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, finding: "Finding") -> "Wanted":
-        """What adds a candidate of a diagnosis."""
+    def of(cls, finding: "Finding") -> "EffectRequest":
+        """The arguments that add a candidate of a diagnosis."""
         from rtec.report.diagnosis import as_typed
 
         name, _, component, *rest = as_typed(finding.effect)
@@ -350,7 +350,7 @@ class Wanted:
 
     @property
     def words(self) -> list[str]:
-        """As typed behind `rtec add MODEL`."""
+        """Words after `rtec add MODEL`."""
         if self.expression:
             params = [w for p in self.parameters for w in ("--param", p)]
             return ["--expr", self.expression, *params, "--component", self.component]
@@ -358,15 +358,15 @@ class Wanted:
 
     @property
     def label(self) -> str:
-        """For a progress line."""
+        """Short name for a progress line."""
         return self.expression or f"{self.effect}({self.component})"
 
 
-def add(line: Reporter, model: "Model", wanted: Wanted | None, files: Sequence[Path], named: Path) -> AddedView:
-    """Add an effect as `rtec add` does; None refits the model's own numbers."""
+def add(line: Reporter, model: "Model", request: EffectRequest | None, files: Sequence[Path], named: Path) -> AddedView:
+    """Add an effect as `rtec add`; with `request` None, refit the model's own numbers."""
     from rtec.diagnosis.extend.add import settings_of
 
-    w = wanted or Wanted()
+    w = request or EffectRequest()
     added = rtec.add(
         model,
         files,
@@ -388,7 +388,7 @@ def _view_of(line: Reporter, added: "Added", files: Sequence[Path], named: Path)
 
 @dataclass(frozen=True)
 class StepDone:
-    """Told to the page after each step of an improvement: what was added, and the readings under the new model."""
+    """Sent to the page after each step of an improvement: the addition, and the readings with the new model."""
 
     view: AddedView
 
@@ -400,7 +400,7 @@ class RefitQuestion:
     Attributes:
         what: the further temperature; empty for a refit.
         before, after: error on held-out runs.
-        unit: of both.
+        unit: unit of both.
     """
 
     what: str
@@ -414,8 +414,8 @@ class StepQuestion:
     """Asked before a step.
 
     Attributes:
-        diagnosis: with its candidates.
-        number: of the step, from 1.
+        diagnosis: the diagnosis with its candidates.
+        number: number of the step, from 1.
     """
 
     diagnosis: DiagnosisView
@@ -423,7 +423,7 @@ class StepQuestion:
 
 
 def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> str:
-    """Improve step by step, asking at each; give why it ended, in a sentence."""
+    """Improve step by step, with a question before each; give the reason why it ended, in a sentence."""
 
     def ask(step: "ProposedStep") -> "Finding | None":
         d = step.diagnosis
@@ -443,7 +443,7 @@ def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, 
 
 
 def fit(line: Reporter, machine: Path, files: Sequence[Path], out: Path, effects: str) -> str:
-    """Fit a first model and write it, as `rtec fit` does; give what it says of it."""
+    """Fit a first model and write it, as `rtec fit`; give its verdict."""
     from rtec.studio.folder import Folder
 
     done = rtec.fit(machine, files, effects=effects or None, name=out.stem, progress=line.stage)
@@ -460,17 +460,17 @@ def try_it(line: Reporter, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class Preview:
-    """An expression over the residual: what is drawn, and how much of the residual it takes, in words."""
+    """An expression over the residual: the curves, and the explained share of the residual, in words."""
 
     evidence: "Evidence"
     words: str
 
 
-def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path]) -> Preview:
-    """Fit an expression to the residual by plain least squares, its own parameters as they are given.
+def preview(line: Reporter, model: "Model", request: EffectRequest, files: Sequence[Path]) -> Preview:
+    """Fit an expression to the residual by plain least squares, with its non-linear parameters as given.
 
     Raises:
-        RtecError: it cannot be read, or no reading shows it.
+        RtecError: the expression is invalid, or no reading shows it.
     """
     from rtec.diagnosis.search.picture import of_effect
     from rtec.effects.expression import expression_from_text
@@ -481,15 +481,15 @@ def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path
     from rtec.wording import percent
 
     del line
-    if not wanted.component:
+    if not request.component:
         raise ModelError("name the component error that the expression feeds, for example EXX")
-    effect = expression_from_text(wanted.expression, list(wanted.parameters), wanted.component, model.machine)
+    effect = expression_from_text(request.expression, list(request.parameters), request.component, model.machine)
     effect.check(model.machine, "expression")
     theta = {p.name: p.start for p in effect.nonlinear(model.machine)}
     judged = Judgement(model, clean(load_measurements(files, model.machine), model.reference_degc))
-    p = of_effect(judged.readings, judged.base.columns, judged.flexible, wanted.label, effect, theta)
+    p = of_effect(judged.readings, judged.base.columns, judged.flexible, request.label, effect, theta)
     if p is None or not p.drivers:
-        raise ModelError(f"no reading shows {wanted.expression}; nothing that it depends on was moved")
+        raise ModelError(f"no reading shows {request.expression}; nothing that it depends on was moved")
     before, after = float(np.mean(p.residual**2)), float(np.mean((p.residual - p.part) ** 2))
     share = 1.0 - after / max(before, 1e-30)
     fall = f"removes {percent(share)}" if share > 0.0 else "removes nothing"
@@ -499,20 +499,20 @@ def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path
 
 
 PREVIEWED = 6000
-"""Readings of a file of another program that are drawn."""
+"""Largest number of drawn readings of a foreign file."""
 
 
 @dataclass(frozen=True)
 class ImportView:
-    """What a file of another program would become.
+    """Preview of the import of a file of another program.
 
     Attributes:
-        proposal: its map, and what is not known yet.
-        title, place, readings: what is drawn: title of the horizontal axis, (n,), and the readings by name, (n,) each;
-            of very many readings evenly some.
-        rows: of the measurement; 0 before the questions are answered.
-        notes: on the import, in words.
-        trouble: why it cannot be imported like that; empty where it can.
+        proposal: its map, and questions.
+        title, place, readings: the plot: title and values of the horizontal axis, (n,), and the readings by name, (n,)
+            each; of very many readings an even selection.
+        rows: number of rows of the measurement; 0 before the questions are answered.
+        notes: notes on the import, in words.
+        trouble: why it cannot be imported like this; else empty.
     """
 
     proposal: "ImportProposal"
@@ -531,14 +531,14 @@ def look_at_foreign(
     answers: Mapping[str, str],
     edited: Mapping[str, Mapping[str, Any]] | None,
 ) -> ImportView:
-    """Propose a map for a file, and import it in memory where everything is known.
+    """Propose a map for a file, and import it in memory if all questions are answered.
 
     Args:
-        line: reported to.
-        path: of the file.
+        line: the reporter.
+        path: path of the file.
         machine: file of the machine; None: not chosen yet.
-        answers: to its questions, by key.
-        edited: columns of the map as a person changed them; None: as they are proposed.
+        answers: answers to its questions, by key.
+        edited: columns of the map that the user changed; None: as proposed.
 
     Raises:
         RtecError: the file cannot be read.

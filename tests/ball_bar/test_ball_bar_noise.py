@@ -88,5 +88,5 @@ def test_what_may_be_there_is_allowed_for_by_its_evidence(there_um: float) -> No
     beside = np.array([float(power(v, size) @ prior) for v in value])
     weight = without + beside
     mean = float(weight @ value / weight.sum())
-    assert allowed.found[0] == pytest.approx(mean, abs=1e-4)
+    assert allowed.coefficients[0] == pytest.approx(mean, abs=1e-4)
     assert allowed.errors[0] == pytest.approx(np.sqrt(float(weight @ (value - mean) ** 2 / weight.sum())), rel=1e-3)

@@ -8,7 +8,7 @@ from rtec.machine import load_machine
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import circles_of
 from rtec.metrology.ball_bar.design import NotLookedFor
-from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose, wanted
+from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose, next_tests
 from rtec.metrology.ball_bar.phase import Phase
 from rtec.report.ball_bar import ball_bar_page
 from tests.support.ball_bar_dynamic import Test, run_tests
@@ -95,7 +95,7 @@ def test_no_test_is_asked_for_that_is_there() -> None:
     for tests, there in ((slow, {"ccw 1000", "cw 1000"}), ((*slow, *fast), {"ccw 1000", "cw 1000", "ccw 3000"})):
         circles = circles_of(run_tests(tests, STATIC | {"psi": 0.0}, {}, 0.2, seed=5)[0])
         open_ = [NotLookedFor(c, "said to be") for c in candidates(circles) if not c.missing]
-        asked = wanted(circles, open_, "shared")
+        asked = next_tests(circles, open_, "shared")
         assert asked
         assert not [w for w in asked if w.test.endswith(" again cw")]
         assert any(w.test == "test1 again at 3000 mm/min" for w in asked) == ("ccw 3000" not in there)

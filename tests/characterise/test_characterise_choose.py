@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.candidates import TermCandidate
 from rtec.characterise.choose import HeldOutTable, choose, one_standard_error
-from rtec.characterise.grouping import tidied
+from rtec.characterise.grouping import joined
 from rtec.diagnosis.extend.add import add
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.gram.normal import Normal
@@ -394,12 +394,12 @@ def test_one_standard_error_rule() -> None:
     assert one_standard_error(better[:5] + gain, better[:5])  # one fold alone decides nothing
 
 
-def test_tidied_terms_say_the_same() -> None:
+def test_joined_terms_have_the_same_columns() -> None:
     """Oracle: the degrees and columns that went in."""
     parts = [Term(effect("polynomial_position", "EXX", axis="X", degrees=[k])) for k in (3, 1)]
     parts.append(Term(effect("polynomial_position", "EXZ", axis="Z", degrees=[2])))
     parts += [Term(effect("backlash_position", "EXX", axis="X", degree=k), {}, (k,)) for k in (2, 1)]
-    out = tidied(parts)
+    out = joined(parts)
     assert [getattr(t.effect, "degrees", None) for t in out] == [(1, 3), (2,), None]
     assert out[2].only == (1, 2)
     assert out[2].effect == effect("backlash_position", "EXX", axis="X", degree=2)

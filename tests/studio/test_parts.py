@@ -47,7 +47,7 @@ def _many(n: int) -> SeriesView:
 def test_of_very_many_readings_so_many_are_drawn_that_none_stands_apart_unseen() -> None:
     """Oracle: a grid over the plot: no cell with readings is empty; no column is shorter by more than a cell."""
     many = _many(100_000)
-    x, left = many.channels["X, mm"], many.left
+    x, left = many.channels["X, mm"], many.residuals
     rows = figures.drawn(many, x, left)
     assert len(rows) <= figures.MOST
     assert 7 in rows
@@ -67,23 +67,23 @@ def test_of_very_many_readings_so_many_are_drawn_that_none_stands_apart_unseen()
 def test_every_plot_draws_the_same_even_sample() -> None:
     """So that what is marked in one plot is mostly seen in the others. Oracle: the readings that both draw."""
     many = _many(100_000)
-    one, two = (figures.drawn(many, v, many.left) for v in (many.channels["X, mm"], np.arange(100_000.0)))
+    one, two = (figures.drawn(many, v, many.residuals) for v in (many.channels["X, mm"], np.arange(100_000.0)))
     assert len(np.intersect1d(one, two)) > 0.9 * figures.EVENLY
 
 
 def test_no_plot_gets_all_of_very_many_readings() -> None:
     """Oracle: the lengths of what is sent, of which no plot gets more than the page moves fluently."""
     many = _many(100_000)
-    hours = {"time since the first reading, h": np.arange(100_000) / 3600.0, "T_bed, °C": 20.0 + many.left}
+    hours = {"time since the first reading, h": np.arange(100_000) / 3600.0, "T_bed, °C": 20.0 + many.residuals}
     place = many.channels["X, mm"]
     s = replace(many, channels={**many.channels, "Y, mm": place[::-1], **hours}, sensors=("T_bed, °C",))
     made = {
         "residual": figures.residual_over(s, "X, mm"),
         "coloured": figures.residual_over(s, "X, mm", "T_bed, °C"),
         "measured": figures.residual_over(s, "X, mm", what="measured"),
-        "time": figures.over_time(s, figures.drawn(s, hours["time since the first reading, h"], s.left)),
+        "time": figures.over_time(s, figures.drawn(s, hours["time since the first reading, h"], s.residuals)),
         "map": figures.residual_map(s, "X, mm", "Y, mm"),
-        "polar": figures.polar(s, np.deg2rad(place), figures.drawn(s, place, s.left)),
+        "polar": figures.polar(s, np.deg2rad(place), figures.drawn(s, place, s.residuals)),
     }
     sent = {n: sum(len(t.get("x", t.get("r", []))) for t in f["data"]) for n, f in made.items()}
     assert {n: k for n, k in sent.items() if k > 2 * figures.MOST} == {}
@@ -94,14 +94,14 @@ def test_a_plot_is_drawn_in_one_way_whatever_part_of_it_is_seen() -> None:
     """Few readings without WebGL, many with it. Oracle: the number of all readings, not that of those drawn."""
     for n, way in ((figures.SINGLY, "scatter"), (figures.SINGLY + 1, "scattergl")):
         for rows in (np.arange(n), np.arange(5)):
-            made = figures.residual_over(_many(n), "X, mm", wanted=rows)
+            made = figures.residual_over(_many(n), "X, mm", chosen=rows)
             assert {t["type"] for t in made["data"]} == {way}
 
 
 def test_zoomed_in_every_reading_there_is_drawn() -> None:
     """Oracle: the readings in that box."""
     many = _many(100_000)
-    x, left = many.channels["X, mm"], many.left
+    x, left = many.channels["X, mm"], many.residuals
     rows = figures.drawn(many, x, left, ((100.0, 120.0), (2.0, -1.0)))
     assert list(rows) == list(np.flatnonzero((x >= 100.0) & (x <= 120.0) & (left >= -1.0) & (left <= 2.0)))
 

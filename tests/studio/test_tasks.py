@@ -36,7 +36,7 @@ def test_a_view_of_a_comparison_is_the_comparison(folder: Path) -> None:
     known = rtec.compare(model, [file])
     assert view.facts == known.to_dict()
     (series,) = view.series
-    assert np.array_equal(series.left, known.traces.left)
+    assert np.array_equal(series.residuals, known.traces.left)
     assert series.floor == known.items[0].floor
     assert len(view.outliers) > 0
     table = rtec.load_measurement(file, MACHINE)
@@ -77,7 +77,7 @@ def test_of_very_many_readings_the_residual_comes_before_its_noise(
     assert [s for s in before if s.startswith("finding the noise")] == []
     assert [s for s in many.stages if s.startswith("finding the noise")] != []
     (early,), (late,) = told.series, view.series
-    assert np.array_equal(early.left, late.left)
+    assert np.array_equal(early.residuals, late.residuals)
     assert np.isnan(early.floor)
     assert early.residual == late.residual == pytest.approx(rtec.compare(model, [file]).items[0].left.rms)
 
@@ -96,9 +96,9 @@ def test_a_measurement_that_cannot_be_read_says_why_in_the_list(folder: Path, tm
 def test_a_preview_takes_what_the_expression_explains(folder: Path) -> None:
     """Oracle: the hidden play, of which `B*d_x` is the exact shape; and a sentence for what cannot be read."""
     model = rtec.load_model(folder / "m.toml", MACHINE)
-    wanted = tasks.Wanted("", "EXX", (), "B*d_x", ())
-    shown = tasks.preview(Silent(), model, wanted, [folder / "laser.csv"])
+    request = tasks.EffectRequest("", "EXX", (), "B*d_x", ())
+    shown = tasks.preview(Silent(), model, request, [folder / "laser.csv"])
     removed = float(shown.words.split("removes ")[1].split(" %")[0])
     assert removed > 90.0
     with pytest.raises(rtec.RtecError, match="nonsense"):
-        tasks.preview(Silent(), model, tasks.Wanted("", "EXX", (), "A*nonsense(x)", ()), [folder / "laser.csv"])
+        tasks.preview(Silent(), model, tasks.EffectRequest("", "EXX", (), "A*nonsense(x)", ()), [folder / "laser.csv"])

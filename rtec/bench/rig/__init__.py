@@ -1,1 +1,1 @@
-"""Simulated machines, thermal networks and instruments that know nothing of the program that is judged by them."""
+"""Simulated machines, thermal networks and instruments, independent of the judged program."""

@@ -1,4 +1,4 @@
-"""What is measured on the rig: lines there and back, plates, drift probes; and the readings that come of it."""
+"""Measurements on the rig: lines in both directions, plates, drift probes; and their readings."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,9 +26,9 @@ class ReadingColumn:
     """One reading column.
 
     Attributes:
-        name: of the column.
-        letter: direction X Y Z of a displacement, or turn A B C.
-        offset_mm: from the tool tip to the measured point.
+        name: name of the column.
+        letter: direction X Y Z of a displacement, or rotation A B C.
+        offset_mm: vector from the tool tip to the measured point.
     """
 
     name: str
@@ -38,14 +38,14 @@ class ReadingColumn:
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """A measurement without its numbers.
+    """A measurement without its readings.
 
     Attributes:
-        instrument, setup, axis: as measurement files name them.
-        probes: what is read.
+        instrument, setup, axis: as in measurement files.
+        probes: the reading columns.
         run, time_s: (n,).
         pose_mm, direction, velocity_mm_s: by axis, (n,).
-        since_mm: distance of the line's axis since it turned round, (n,).
+        since_mm: distance of the line's axis since its last reversal, (n,).
         load_kg: (n,).
         speed: whether feeds were recorded.
     """
@@ -78,15 +78,15 @@ class CampaignPlan:
 
 @dataclass(frozen=True)
 class Record:
-    """A measurement as a file holds it.
+    """A measurement with the content of its file.
 
     Attributes:
-        name: of the file.
-        plan: how it was taken.
-        channels: what was recorded beside, (n,) each.
+        name: name of the file.
+        plan: its plan.
+        channels: recorded channels, (n,) each.
         readings: by column, (n,); NaN where they are held back.
-        noise: in each reading, with the rounding of the display, by column, (n,); NaN where it is an outlier.
-        held_back: readings that are NaN in `readings`, NaN elsewhere, by column, (n,); empty where none are.
+        noise: noise in each reading, with the rounding of the display, by column, (n,); NaN for an outlier.
+        held_back: readings that are NaN in `readings`, NaN elsewhere, by column, (n,); empty where there are none.
     """
 
     name: str
@@ -110,16 +110,16 @@ def line(
     lengths: Sequence[int] | None = None,
     alike: bool = False,
 ) -> CampaignPlan:
-    """CampaignPlan a line, there and back in each run; load, feed and the places of other axes change from run to run.
+    """Plan of a line, in both directions in each run; load, feed and positions of other axes change from run to run.
 
     Args:
-        rng: source of all that is left to chance.
+        rng: source of random numbers.
         kind: laser, straightness or angular.
-        axis: of the line.
-        runs, per_way, hours: how many, how many targets each way, how long.
-        step_mm: targets at equal steps; None for places by chance, others in each run.
-        across: what a straightness probe or an angular laser reads.
-        lengths: targets each way of each run, where they are not alike.
+        axis: axis of the line.
+        runs, per_way, hours: number of runs, number of targets each way, duration.
+        step_mm: distance of equally spaced targets; None for random targets, different in each run.
+        across: direction or rotation that a straightness probe or an angular laser reads.
+        lengths: number of targets each way of each run, where it differs.
         alike: other axes, load and feed are the same in all runs.
     """
     low, high = TRAVEL_MM[axis]
@@ -164,7 +164,7 @@ def line(
 
 
 def plate(rng: Rng, *, runs: int = 6, grid: int = 11, hours: float = 4.0) -> CampaignPlan:
-    """CampaignPlan an artefact plate over X and Y, probed in another order in each run, at two heights of Z."""
+    """Plan of an artefact plate over X and Y, probed in another order in each run, at two heights of Z."""
     xs = np.linspace(TRAVEL_MM["X"][0] + 30.0, TRAVEL_MM["X"][1] - 30.0, grid)
     ys = np.linspace(TRAVEL_MM["Y"][0] + 20.0, TRAVEL_MM["Y"][1] - 20.0, grid)
     places = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
@@ -181,7 +181,7 @@ def plate(rng: Rng, *, runs: int = 6, grid: int = 11, hours: float = 4.0) -> Cam
 
 
 def drift(rng: Rng, *, runs: int = 20, points: int = 17, hours: float = 9.0) -> CampaignPlan:
-    """CampaignPlan three probes at the spindle of a machine at rest."""
+    """Plan of three probes at the spindle of a machine at rest."""
     run = np.repeat(np.arange(1, runs + 1), points)
     pose = {a: np.full(len(run), 0.4 * TRAVEL_MM[a][1]) for a in "XYZ"}
     probes = (
@@ -214,7 +214,7 @@ def recorded(plan: CampaignPlan, of: Day, rng: Rng, names: tuple[str, ...] = SEN
 def read(
     plan: CampaignPlan, errors: Errors, rng: Rng, form: str, channels: Mapping[str, Floats], name: str = "record"
 ) -> Record:
-    """Readings of an instrument: exact kinematics, noise of a form, an unknown zero, as its display shows them."""
+    """Readings of an instrument: exact kinematics, noise of a form, an unknown zero, resolution of the display."""
     readings, noises = {}, {}
     for probe in plan.probes:
         if probe.letter in "XYZ":
@@ -229,7 +229,7 @@ def read(
 
 
 def with_runs_held_back(record: Record, every: int = 4) -> Record:
-    """The same with the readings of every so manieth run held back, to be predicted."""
+    """The same with the readings of every n-th run held back, for prediction."""
     back = record.plan.run % every == 0
     return replace(
         record,
@@ -239,7 +239,7 @@ def with_runs_held_back(record: Record, every: int = 4) -> Record:
 
 
 def one_way(plan: CampaignPlan) -> CampaignPlan:
-    """The first way of the first run alone."""
+    """The first way of the first run only."""
     keep = np.flatnonzero((plan.run == 1) & (plan.direction[plan.axis or "X"] > 0))
     return at(plan, keep)
 
@@ -266,7 +266,7 @@ def _levels(rng: Rng, axis: str, runs: int, alike: bool) -> Floats:
 
 
 def _times(rng: Rng, run: Ints, hours: float) -> Floats:
-    """Runs one after the other with pauses; nearly even within each."""
+    """Times of consecutive runs with pauses; nearly equal intervals within a run."""
     runs = int(run[-1])
     each, out = hours * 3600.0 / runs, np.empty(len(run))
     for k in range(1, runs + 1):

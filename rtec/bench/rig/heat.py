@@ -1,6 +1,6 @@
-"""Temperatures of the rig: a network of bodies and a screw of finite elements, most of which no sensor measures.
+"""Temperatures of the rig: a network of bodies and a screw of finite elements, most of them without a sensor.
 
-Heat flows `C dT/dt = Σ G (T' - T) + P`, integrated by implicit Euler; sensors are late, noisy and quantised.
+Heat flow is `C dT/dt = Σ G (T' - T) + P`, integrated by implicit Euler; sensors have lag, noise and resolution.
 """
 
 from collections.abc import Mapping
@@ -44,13 +44,13 @@ AT_NUT, ALONG, TO_AIR, OF_ELEMENT = 1.1, 6.0, 0.12, 0.45
 
 @dataclass(frozen=True)
 class Day:
-    """What happens to the machine, on a grid of time.
+    """A day of the machine, on a grid of time.
 
     Attributes:
         time_s: (m,).
         rpm: spindle speed, (m,).
-        body: temperature of each body and of the air above 20 °C, (m,) each.
-        screw: temperature of each element of X's screw above 20 °C, (m, elements).
+        body: temperature of each body and of the air minus 20 °C, (m,) each.
+        screw: temperature of each element of X's screw minus 20 °C, (m, elements).
     """
 
     time_s: Floats
@@ -63,11 +63,11 @@ class Day:
         return np.interp(time_s, self.time_s, values)
 
     def of(self, body: str, time_s: Floats) -> Floats:
-        """Temperature of a body above 20 °C, (n,)."""
+        """Temperature of a body minus 20 °C, (n,)."""
         return self.at(self.body[body], time_s)
 
     def sensor(self, name: str, rng: Rng, time_s: Floats) -> Floats:
-        """What a sensor shows, °C: half a minute late, with noise, in steps of 0.1 K."""
+        """Readings of a sensor, °C: with a lag of half a minute, noise, and steps of 0.1 K."""
         late = rng.uniform(15.0, 60.0)
         true = 20.0 + self.of(name.removeprefix("T_"), np.maximum(time_s - late, 0.0))
         return np.round((true + 0.03 * rng.standard_normal(len(time_s))) / 0.1) * 0.1
@@ -85,7 +85,7 @@ class Day:
 
 
 def day(rng: Rng, hours: float) -> Day:
-    """A day of its own: spindle programme, jogging, coolant, shop."""
+    """A random day: spindle programme, jogging, coolant, temperature of the shop."""
     time = np.arange(0.0, hours * 3600.0 + STEP_S, STEP_S)
     rpm = _blocks(rng, time, (0.0, 1500.0, 3000.0, 5000.0, 7000.0, 9000.0), (20.0, 60.0))
     jog = _blocks(rng, time, (0.0, 0.3, 0.6, 1.0), (25.0, 80.0))
@@ -140,14 +140,14 @@ def _blocks(rng: Rng, time: Floats, levels: tuple[float, ...], minutes: tuple[fl
 
 
 def sensors(of: Day, rng: Rng, time_s: Floats, names: tuple[str, ...] = SENSORS) -> dict[str, Floats]:
-    """What sensors show, °C, (n,) each."""
+    """Readings of sensors, °C, (n,) each."""
     return {name: of.sensor(name, rng, time_s) for name in names}
 
 
 def growth_seen(q_mm: Floats, time_s: Floats, channels: Mapping[str, Floats]) -> Floats:
-    """What sensors tell of the growth of X's screw, (n, 8): its law on the channels that were recorded.
+    """Growth of X's screw as far as sensors show it, (n, 8): columns of its law on the recorded channels.
 
-    The nut warms the screw now and as late as an element follows it, more in the middle than at the ends; bed and air
+    The nut heats the screw, directly and with the lag of an element, more in the middle than at the ends; bed and air
     cool it.
     """
     nut = channels["T_nut"] - 20.0
@@ -158,9 +158,9 @@ def growth_seen(q_mm: Floats, time_s: Floats, channels: Mapping[str, Floats]) ->
 
 
 def bearing_seen(time_s: Floats, channels: Mapping[str, Floats]) -> Floats:
-    """What speed and sensors tell of the temperature of the bearing, (n, 3): its law on the recorded channels.
+    """Temperature of the bearing as far as speed and sensors show it, (n, 3): columns of its law on recorded channels.
 
-    Friction warms the bearing, spindle and air cool it, all as late as its heat capacity makes it.
+    Friction heats the bearing, spindle and air cool it, all with the lag of its heat capacity.
     """
     capacity, to_air = BODIES["bearing"]
     tau_s = 1e3 * capacity / (TOUCH["bearing", "spindle"] + to_air)
@@ -169,7 +169,7 @@ def bearing_seen(time_s: Floats, channels: Mapping[str, Floats]) -> Floats:
 
 
 def _late(values: Floats, time_s: Floats, tau_s: float) -> Floats:
-    """Values, (n,), that follow others with a time constant."""
+    """First-order lag of values, (n,)."""
     out = np.empty(len(values))
     out[0] = values[0]
     for i, keep in enumerate(np.exp(-np.diff(time_s) / tau_s).tolist(), 1):

@@ -1,6 +1,6 @@
-"""A small travelling-column mill: where each part is, and what a turn or shift of it does to a measured point.
+"""A small travelling-column mill: positions of its parts, and the effect of their rotations and shifts on a point.
 
-Turns are exact rotation matrices (Rodrigues), not arms times angles.
+Rotations are exact matrices (Rodrigues), not arms times angles.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,10 +27,10 @@ OFFSET_MM: dict[str, tuple[float, float, float]] = {
 
 
 def description(pitch_mm: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """The machine as a machine file has it.
+    """Content of the machine's file.
 
     Args:
-        pitch_mm: what the file says of the screws, where that is wrong.
+        pitch_mm: wrong pitches of screws in the file, by axis.
     """
     pitch = {**PITCH_MM, **(pitch_mm or {})}
     return {
@@ -51,7 +51,7 @@ def description(pitch_mm: Mapping[str, float] | None = None) -> dict[str, Any]:
 
 
 def _origins(pose_mm: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Where each part's origin is, (n, 3) mm; a part that carries the work moves the other way."""
+    """Origin of each part, (n, 3) mm; a part that carries the work moves in the opposite direction."""
     n = len(pose_mm["X"])
     out: dict[str, Floats] = {}
     for chain, way in ((TOOL_CHAIN, 1.0), (WORK_CHAIN, -1.0)):
@@ -83,7 +83,7 @@ def displaced(
     Args:
         errors: component errors of the tool relative to the work, µm or µrad, (n,) each.
         pose_mm: axis positions.
-        offset_mm: from the tool tip to the point.
+        offset_mm: vector from the tool tip to the point.
     """
     where = _origins(pose_mm)
     tip = where["tool"] + np.asarray(offset_mm)
@@ -94,7 +94,7 @@ def displaced(
             out[:, "XYZ".index(letter)] += error
             continue
         if part[0] == "0" and part[1:] in TRAVEL_MM:
-            # A line that is not square: only the way travelled turns.
+            # Squareness: only the direction of travel is rotated.
             arm = np.zeros_like(tip)
             arm[:, "XYZ".index(part[1:])] = pose_mm[part[1:]]
         else:
@@ -105,6 +105,6 @@ def displaced(
 
 
 def turned(errors: Mapping[str, Floats], about: str, n: int) -> Floats:
-    """What an angular instrument reads about a main axis, (n,) µrad."""
+    """Reading of an angular instrument about a main axis, (n,) µrad."""
     parts = [e for c, e in errors.items() if c[1] == about and not (c[2] == "0" and c[3:] in TRAVEL_MM)]
     return np.asarray(np.sum(parts, axis=0) if parts else np.zeros(n))

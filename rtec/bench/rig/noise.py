@@ -1,4 +1,4 @@
-"""Noise of the rig's instruments: forms that resemble effects, and forms that break a method's assumptions."""
+"""Noise of the rig's instruments: forms that resemble effects, and forms that violate a method's assumptions."""
 
 from dataclasses import dataclass
 
@@ -11,10 +11,10 @@ Bools = NDArray[np.bool_]
 Rng = np.random.Generator
 
 FORMS = ("white", "memory", "wander", "warm_up", "zeros", "bursts", "quantised")
-"""White; a first-order memory; a random walk; heat-up and cool-down of the instrument itself; each run's own zero;
-outliers in runs of up to five, apart from each other; a coarse display."""
+"""White; first-order autoregressive; random walk; warming up and cooling down of the instrument; a zero for each run;
+outliers in separate bursts of up to five; a coarse display."""
 APART = 20
-"""Readings of which at most one burst is made."""
+"""Number of readings for each burst of outliers at most."""
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class DrawnNoise:
 
     Attributes:
         values: µm or µrad, (n,).
-        wrong: which readings are outliers, (n,).
-        step: of the display.
+        wrong: whether each reading is an outlier, (n,).
+        step: resolution of the display.
     """
 
     values: Floats
@@ -68,7 +68,7 @@ def _memory(rng: Rng, time_s: Floats, tau_s: float) -> Floats:
 
 
 def _heat(rng: Rng, time_s: Floats) -> Floats:
-    """The instrument warms up, and cools down again once its lamp is off."""
+    """Drift of an instrument that warms up, and cools down after its lamp is switched off."""
     whole = float(time_s[-1] - time_s[0])
     tau, off = whole * rng.uniform(0.06, 0.25), whole * rng.uniform(0.5, 0.75)
     t = time_s - time_s[0]

@@ -1,1 +1,1 @@
-"""Diagnosis of ball-bar tests: [BB]'s parameters and what they leave out."""
+"""Diagnosis of ball-bar tests: [BB]'s parameters, and causes beyond them."""

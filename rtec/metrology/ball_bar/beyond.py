@@ -1,11 +1,12 @@
-"""What a ball bar shows beyond [BB]'s parameters: dynamic effects and those of the drive, each from the catalogue.
+"""Causes beyond [BB]'s parameters that a ball bar shows: effects of motion and of the drive, from the catalogue.
 
-[BB] leaves the reversals and the servo loops out, and names them as the likely other half of the error. Every candidate
-here is an effect of `rtec effects` in the axes of the plane; its basis functions, the machine's chain and the bar's
-geometry make its columns, in any test.
+[BB] excludes the reversals and the servo loops, and names them as the likely other half of the error. Every candidate
+here is an effect of `rtec effects` in the axes of the plane. Its basis functions, the machine's chain and the bar's
+geometry give its columns in any test.
 
-Signs: a spike is positive where the axis comes late (it sticks, drawn outwards); a lateral play is the place of the
-slide moving to plus minus that moving to minus; a delay is the time by which the plane's first axis leads.
+Signs: a spike is positive where the axis lags (it sticks; the plot goes outwards). A lateral play is the position of
+the slide when it moves to plus, minus that when it moves to minus. A delay is the time by which the plane's first axis
+leads.
 """
 
 import itertools
@@ -25,13 +26,13 @@ from rtec.wording import significant
 Floats = NDArray[np.float64]
 Kind = Literal["plain", "wave", "spike"]
 WIDEST_DEG = 15.0
-"""A spike that has its top farther from the reversal is none: smooth causes make that, too."""
+"""Largest angle from the reversal to the top of a spike: smooth causes look the same farther away."""
 SHORTEST_MM = 0.02
-"""Way to the top of the narrowest spike that is tried."""
+"""Distance from the reversal to the top of the narrowest spike that is tried."""
 PER_WAVE = 2.0
 """Readings that a wave needs where its axis is fastest."""
 HALF_WAYS = (0.2319610, 2.6783470)
-"""Where `u exp(1 - u)` is a half: a spike is half as high there."""
+"""Arguments at which `u exp(1 - u)` is a half: there a spike has half its height."""
 WIDTH = HALF_WAYS[1] - HALF_WAYS[0]
 End = tuple[str, str, float]
 ENDS: tuple[End, ...] = (("plus", "+", 1.0), ("minus", "-", -1.0))
@@ -40,19 +41,19 @@ ENDS: tuple[End, ...] = (("plus", "+", 1.0), ("minus", "-", -1.0))
 
 @dataclass(frozen=True)
 class ExtraCause:
-    """A cause beyond [BB]'s, with what is found out about it as one.
+    """A candidate beyond [BB]'s parameters; it may have several parameters.
 
     Attributes:
         name: short and fixed.
         title: for people.
-        group: what is shown together as one cause.
+        group: candidates of one group are shown as one cause.
         effect: name in the catalogue.
-        kind: "plain": each parameter is a size; "wave": sine and cosine; "spike": heights, and the way to its top.
-        make: its causes, for a way to the top in mm where it is a spike; any number else.
-        ways_mm: ways to try.
+        kind: "plain": each parameter is a size; "wave": sine and cosine; "spike": heights, and the distance to its top.
+        make: gives its causes; the argument is the distance to a spike's top, mm, and has no effect for other kinds.
+        ways_mm: distances to the top that the search tries.
         missing: why the tests cannot show it at all, in words; else empty.
-        axis: place of its axis in the plane.
-        feed_mm_min: of the tests that it is for; 0: all.
+        axis: place of its axis in the plane, 0 or 1.
+        feed_mm_min: feed of the tests that it is for; 0: all tests.
         wave_mm: length of its wave.
     """
 
@@ -70,7 +71,7 @@ class ExtraCause:
 
 
 def candidates(circles: Sequence[CircleTest]) -> tuple[ExtraCause, ...]:
-    """Everything beyond [BB]'s parameters that is looked for in tests of one plane."""
+    """Every candidate beyond [BB]'s parameters for tests of one plane."""
     return (*_servo(circles), *_both(circles), *_change_over(circles))
 
 
@@ -119,7 +120,7 @@ def _change_over(circles: Sequence[CircleTest]) -> Iterator[ExtraCause]:
 
 
 def _spikes(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
-    """One at each feed: how an axis sticks depends on it."""
+    """One spike at each feed, as the way an axis sticks depends on the feed."""
     letter = circles[0].setup.letters[place]
     feeds = feeds_of(circles, ALIKE_FEED)
     effect = along(circles[0], "reversal_spike", place)
@@ -128,7 +129,7 @@ def _spikes(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
         here = [c for c in circles if _at_feed(feeds, feed)(c)]
         most = min(c.setup.radius_mm for c in here) * (1.0 - np.cos(np.deg2rad(WIDEST_DEG)))
         least = min(c.setup.radius_mm * (1.0 - np.cos(c.step_rad)) for c in here)
-        # Half a step of the catalogue's grid apart, so that none falls between two and leaves much at the quadrants.
+        # Half a step of the catalogue's grid apart, so that a spike between two of them has a small residual.
         whole = (SHORTEST_MM, *grid)
         finer = sorted({*whole, *(float(np.sqrt(u * w)) for u, w in itertools.pairwise(whole))})
         ways = tuple(w for w in finer if least <= w <= most)
@@ -145,12 +146,12 @@ def _spikes(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
 
 
 def _at_feed(feeds: Sequence[float], feed: float) -> Callable[[CircleTest], bool]:
-    """Is a feed the one of a list that is nearest to a test's own?"""
+    """A function: whether a feed is the nearest one of a list to the feed of a test."""
     return lambda c: min(feeds, key=lambda f: abs(f - c.setup.feed_mm_min)) == feed
 
 
 def _turns(circle: CircleTest, place: int, sign: float) -> bool:
-    """Are there readings just after the axis turned round at that end?"""
+    """Whether there are readings just after the axis reversed at that end."""
     near = circle.since_turn_rad(place) < np.deg2rad(WIDEST_DEG)
     seen = circle.since_reversal_mm(place) < FAR_MM
     return bool((near & seen & (circle.way(place) * sign < 0.0)).any())
@@ -199,7 +200,7 @@ def _plays(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
 
 
 def _positions(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
-    """Clearance that changes along its axis, counted from the first test's centre."""
+    """Clearance that changes along its axis; positions count from the first test's centre."""
     first, letter = circles[0], circles[0].setup.letters[place]
     effect = along(first, "backlash_position", place, degree=2)
     axis = axis_of(first, place)

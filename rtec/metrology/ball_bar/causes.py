@@ -1,14 +1,14 @@
-"""What a ball bar can be read as: causes, each one parameter, and the columns that they make in any test.
+"""Causes of ball-bar readings, one parameter each, and their columns in any test.
 
 A cause is a component error with a shape; the machine's chain and the bar's geometry turn it into a reading. Shapes and
-lever arms count from the centre of the first test's circle, so that scale, squareness and bend are those at that place
-and the centre offset is free of them. On a machine that carries X on Y, with the ball at the tool in the plane of Y's
+lever arms count from the centre of the first test's circle: scale, squareness and bend are the values there, and the
+centre offset does not depend on them. On a machine that carries X on Y, with the ball at the tool in the plane of Y's
 guide, the columns are those of [BB Table 1]; on others the arms are the machine's own. An effect of the catalogue along
 an axis of the plane gives shapes, too.
 
-Clearance δ lags evenly to both sides, `e = -½ δ d`, so the centre is the middle of both flanks. [BB 20] counts from the
-flank of motion to minus, where its table has 0: its centre offset is this one minus ½ δ. Its δ is minus the reversal
-value B of ISO 230-2.
+Clearance δ is symmetric, `e = -½ δ d`, so that the centre is midway between both flanks. [BB 20] counts from the flank
+of motion to minus, where its table has 0: its centre offset is this one minus ½ δ. Its δ is minus the reversal value B
+of ISO 230-2.
 
 Symbols: `p`, `q` positions along the plane's first and second letter from that centre, mm; `d` direction of motion;
 `ζ` angle, `s` sense.
@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class At:
-    """Where the readings of a test are: the test, and positions `p`, `q`, mm, (n,) each."""
+    """Positions `p`, `q` of a test's readings, mm, (n,) each, and the test."""
 
     circle: CircleTest
     p: Floats
@@ -41,7 +41,7 @@ class At:
 
 
 Shape = Callable[[At], Floats]
-"""One unit of a cause in its component error, µm or µrad, (n,)."""
+"""Component error for one unit of a cause, µm or µrad, (n,)."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class Cause:
         name: short and fixed, for programs.
         title: for people.
         unit: of the parameter.
-        group: what is shown together as one cause.
-        component: component error that it is; empty for the centre of the set-up.
-        shape: one unit of it in that component, µm or µrad.
+        group: causes of one group are shown as one.
+        component: component error that it feeds; empty for the centre of the set-up.
+        shape: that component error for one unit, µm or µrad.
         centre: 0 or 1: a centre offset along the plane's first or second letter.
-        square: what goes with the square of the parameter, where that is as large as other second orders.
-        also: further component errors that the same parameter feeds, each with one unit of it.
-        prior: standard uncertainty of what is known of it before any reading, about zero; infinite: nothing is.
+        square: term with the square of the parameter, where it is as large as other second orders.
+        also: further component errors that the same parameter feeds, each with its shape.
+        prior: standard uncertainty about zero before any reading; infinite where nothing is known.
     """
 
     name: str
@@ -76,8 +76,8 @@ class Cause:
 def causes(circle: CircleTest, *, bent: bool) -> tuple[Cause, ...]:
     """The 10 parameters of [BB]'s linear model, or (`bent`) the 15 of the non-linear one, named for a plane.
 
-    The perpendicularity of the first axis holds its own pitch and the roll of the axis that carries it, the
-    squareness the yaw; [BB] shows that no ball bar tells those apart.
+    The perpendicularity of the first axis contains its own pitch and the roll of the axis that carries it; the
+    squareness contains the yaw. [BB] shows that no ball bar separates them.
     """
     machine, (a, b, n) = circle.machine, circle.setup.letters
     turns = dict(zip("XYZ", "ABC", strict=True))
@@ -119,10 +119,10 @@ def causes(circle: CircleTest, *, bent: bool) -> tuple[Cause, ...]:
 
 
 def if_it_turns(circle: CircleTest, place: int) -> float:
-    """Bend in the plane of a guide whose carriage turns with its arc, for one unit of the one whose carriage shifts.
+    """Bend of a guide whose carriage turns with the arc, for one unit of the bend of one whose carriage only shifts.
 
-    A carriage that follows a rigid arc turns by the arc's slope; where it carries the other axis of the plane that
-    moves the place by twice as much the other way, and the bend has the other sign.
+    A carriage that follows a rigid arc turns by the arc's slope. Where it carries the other axis of the plane, this
+    turn moves the tool twice as far in the opposite direction, and the bend changes its sign.
 
     Args:
         circle: a test of the plane.
@@ -139,9 +139,9 @@ def if_it_turns(circle: CircleTest, place: int) -> float:
 
 
 def _twist(circle: CircleTest) -> Cause:
-    """Roll of the axis that is nearer to the workpiece and carries the other: only that one has an arm.
+    """Roll of the axis that is nearer to the workpiece and carries the other: only this roll has an arm.
 
-    It moves the place along the third direction by κ p q in a right-handed plane, whichever axis it is.
+    It moves the tool along the third direction by κ p q in a right-handed plane, whichever axis it is.
     """
     chain, letters = circle.machine.chain, circle.setup.letters
     names = [axis_of(circle, place).name for place in (0, 1)]
@@ -167,13 +167,13 @@ def _ahead_square(at: At) -> Floats:
 
 
 def tip_um(cause: Cause, circle: CircleTest, origin: CircleTest, *, square: bool = False) -> Floats:
-    """How one unit of a cause moves the ball at the tool against the ball on the table, µm, (n, 3).
+    """Displacement of the ball at the tool relative to the ball on the table for one unit of a cause, µm, (n, 3).
 
     Args:
-        cause: which.
+        cause: the cause.
         circle: the test.
-        origin: the test whose centre shapes and lever arms count from.
-        square: what goes with the square of the parameter instead.
+        origin: the test from whose centre shapes and lever arms count.
+        square: give the term with the square of the parameter instead.
     """
     setup, shape = circle.setup, cause.square if square else cause.shape
     out = np.zeros((len(circle), 3))
@@ -190,7 +190,7 @@ def tip_um(cause: Cause, circle: CircleTest, origin: CircleTest, *, square: bool
 
 
 def _arms(component: str, circle: CircleTest, origin: CircleTest) -> Floats:
-    """How one unit of a component error moves the tip, (n, 3), or (3,) where it is the same everywhere."""
+    """Displacement of the tip for one unit of a component error, (n, 3), or (3,) where it is the same everywhere."""
     chain = circle.machine.chain
     terms = chain.terms[:, chain.components.index(component)]
     # A turn's arms count from the origin, too; a shift's are the same everywhere.
@@ -211,16 +211,16 @@ def _centre_pose(circle: CircleTest) -> Floats:
 
 
 SAME_FEED = 1e-3
-"""Feeds nearer than this share of each other are one."""
+"""Feeds that differ by less than this share count as one feed."""
 ALIKE_FEED = 0.25
-"""Feeds nearer than this stick alike: those that only go with the radius are not looked at by themselves."""
+"""Feeds that differ by less than this share have the same spikes: feeds that only follow the radius get no own ones."""
 
 
 def axis_of(circle: CircleTest, place: int) -> Axis:
     """The axis that moves along the plane's first (0) or second (1) letter.
 
     Raises:
-        MeasurementError: none does.
+        MeasurementError: no axis does.
     """
     letter = circle.setup.letters[place]
     axis = axis_along(circle.machine, letter)
@@ -230,13 +230,13 @@ def axis_of(circle: CircleTest, place: int) -> Axis:
 
 
 def along(circle: CircleTest, name: str, place: int, towards: str = "", **more: Any) -> Effect:
-    """An effect of the catalogue along the plane's first or second axis, positioning unless it moves it sideways.
+    """An effect of the catalogue along the plane's first or second axis: positioning, or straightness with `towards`.
 
     Args:
         circle: a test of the plane.
-        name: of the effect.
-        place: 0 or 1.
-        towards: letter of the direction that it moves the ball in; empty: its own.
+        name: name of the effect.
+        place: 0 or 1: which axis.
+        towards: letter of the direction in which it moves the ball; empty: the axis' own.
         more: further keys of the effect.
     """
     axis = axis_of(circle, place)
@@ -256,10 +256,10 @@ def shape_of(
     """`gain` times one basis function of an effect.
 
     Args:
-        effect: of `along`.
+        effect: an effect from `along`.
         column: which basis function.
-        gain: times it.
-        theta: its non-linear parameters.
+        gain: factor.
+        theta: non-linear parameters of the effect.
         middle: 0 or 1: the position of that axis counts from the first test's centre, not from the machine's zero.
     """
 
@@ -271,7 +271,7 @@ def shape_of(
 
 
 def _counted(at: At, place: int) -> State:
-    """The state with an axis' position as though the centre were the middle of its travel, where shapes count from."""
+    """The state with an axis' position shifted so that the centre is the middle of its travel."""
     axis = axis_of(at.circle, place)
     position = (at.p, at.q)[place] + 0.5 * (axis.travel_mm[0] + axis.travel_mm[1])
     state = at.circle.state
@@ -279,7 +279,7 @@ def _counted(at: At, place: int) -> State:
 
 
 def feeds_of(circles: Sequence[CircleTest], share: float = SAME_FEED) -> list[float]:
-    """Feeds of some tests, mm/min, each once, rising; `share`: see `same_feed`."""
+    """Different feeds of some tests, mm/min, rising; `share`: see `same_feed`."""
     out: list[float] = []
     for c in circles:
         if not any(same_feed(c.setup.feed_mm_min, f, share) for f in out):
@@ -288,5 +288,5 @@ def feeds_of(circles: Sequence[CircleTest], share: float = SAME_FEED) -> list[fl
 
 
 def same_feed(one: float, other: float, share: float = SAME_FEED) -> bool:
-    """Are two feeds nearer to each other than a share of them?"""
+    """Whether two feeds differ by less than a share of them."""
     return abs(one - other) <= share * max(abs(one), abs(other))

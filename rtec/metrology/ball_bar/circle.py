@@ -1,4 +1,4 @@
-"""One ball-bar test as the procedures see it: angles, readings, and what belongs to its geometry."""
+"""One ball-bar test for the procedures: angles, readings and geometry."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,25 +28,25 @@ Bools = NDArray[np.bool_]
 END_DEG = 0.01  # commanded positions are rounded to 1 µm
 QUADRANT_RAD = np.deg2rad(0.05)
 LEAST = 24
-"""Readings on an arc; fewer do not show its shape."""
+"""Smallest number of readings on an arc; fewer do not show its shape."""
 GAP_DEG = 20.0
-"""Readings may be missing over so much of an arc; with more it is not the arc of the set-up, or not a full circle."""
+"""Longest gap in the readings of an arc; with a longer one it is not the arc of the set-up, or not a full circle."""
 
 
 @dataclass(frozen=True)
 class CircleTest:
-    """The measured arc of one test: no overshoot, no missing readings.
+    """The measured arc of one test, without overshoot and missing readings.
 
     Attributes:
-        name: of the measurement.
-        machine, instrument: it was made on, with.
-        angle_rad: on the circle, going on past 2π, (n,).
-        travel_deg: from the start of the arc, (n,).
-        reading_um: (n,).
-        run: (n,).
-        left_out: readings that are missing or outside the arc.
-        phase_rate: servo phase in this test over that in the first: 1 where it is one angle in all of them; where it
-            is one time, this angular speed over the first one's.
+        name: name of the measurement.
+        machine, instrument: of the measurement.
+        angle_rad: angle on the circle, continued past 2π, (n,).
+        travel_deg: angle from the start of the arc, (n,).
+        reading_um: readings, (n,).
+        run: run of each reading, (n,).
+        left_out: number of readings that are missing or outside the arc.
+        phase_rate: servo phase in this test divided by that in the first test: 1 if the phase is the same angle in all
+            tests; if it is the same time, the ratio of the angular speeds.
     """
 
     name: str
@@ -64,22 +64,22 @@ class CircleTest:
 
     @property
     def setup(self) -> BallBarSetup:
-        """Its set-up."""
+        """Set-up of the test."""
         return self.instrument.setup
 
     @property
     def closed(self) -> bool:
-        """Does the arc go all the way round?"""
+        """Whether the arc is a full turn."""
         return self.setup.arc_deg > 359.0
 
     @property
     def full(self) -> bool:
-        """Does it, with readings everywhere?"""
+        """Whether the arc is a full turn with readings everywhere."""
         return self.closed and not self.gaps
 
     @cached_property
     def gaps(self) -> tuple[tuple[float, float], ...]:
-        """Long pieces of the arc without readings, each from where to where, degrees from the arc's start."""
+        """Long parts of the arc without readings: start and end, degrees from the arc's start."""
         ways = np.concatenate([[0.0], np.sort(self.travel_deg), [self.setup.arc_deg]])
         return tuple((float(ways[i]), float(ways[i + 1])) for i in np.flatnonzero(np.diff(ways) > GAP_DEG))
 
@@ -90,7 +90,7 @@ class CircleTest:
 
     @property
     def step_rad(self) -> float:
-        """From one reading to the next, typically."""
+        """Typical angle from one reading to the next."""
         apart = np.abs(np.diff(self.angle_rad))
         return float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else float("inf")
 
@@ -103,22 +103,22 @@ class CircleTest:
 
     @cached_property
     def bar_mm(self) -> Floats:
-        """From the ball on the table to the ball at the tool, nominally, (n, 3)."""
+        """Nominal vector from the ball on the table to the ball at the tool, (n, 3)."""
         return self.instrument.bar_mm(self.machine, self.pose_mm)
 
     @cached_property
     def along(self) -> Floats:
-        """Direction of the bar, (n, 3)."""
+        """Unit vector along the bar, (n, 3)."""
         return np.asarray(self.bar_mm / np.linalg.norm(self.bar_mm, axis=1, keepdims=True))
 
     @cached_property
     def on_circle_mm(self) -> tuple[Floats, Floats]:
-        """Place from the centre along the plane's first and second letter, (n,) each."""
+        """Position relative to the centre along the plane's first and second letter, (n,) each."""
         return self.setup.radius_mm * np.cos(self.angle_rad), self.setup.radius_mm * np.sin(self.angle_rad)
 
     @cached_property
     def state(self) -> State:
-        """What effects see: positions, directions, velocities, accelerations, and way since the last reversal."""
+        """The state for effects: positions, directions, velocities, accelerations, distance since the last reversal."""
         channels = circle_channels(self.machine, self.setup, self.angle_rad)
         for place, letter in enumerate(self.setup.letters[:2]):
             axis = axis_along(self.machine, letter)
@@ -127,15 +127,15 @@ class CircleTest:
         return State(self.machine, np.zeros(len(self)), channels)
 
     def since_turn_rad(self, place: int) -> Floats:
-        """Angle since the plane's first (0) or second (1) letter turned round last, (n,); π where it turns just now."""
+        """Angle since the last reversal along the plane's first (0) or second (1) letter, (n,); π at the next one."""
         turns = self.setup.sense * (self.angle_rad - 0.5 * np.pi * place) - JUST_BEFORE_RAD
         return np.asarray(turns % np.pi + JUST_BEFORE_RAD, dtype=np.float64)
 
     def since_reversal_mm(self, place: int) -> Floats:
-        """Way since that reversal, (n,); FAR_MM where the machine had not begun to move at it."""
+        """Distance since that reversal, (n,); FAR_MM where the machine was not yet moving at it."""
         angle = self.since_turn_rad(place)
-        seen = np.rad2deg(angle) <= self.travel_deg + self.setup.overshoot_deg + END_DEG
-        return np.where(seen, self.setup.radius_mm * (1.0 - np.cos(angle)), FAR_MM)
+        moving = np.rad2deg(angle) <= self.travel_deg + self.setup.overshoot_deg + END_DEG
+        return np.where(moving, self.setup.radius_mm * (1.0 - np.cos(angle)), FAR_MM)
 
     def way(self, place: int) -> Floats:
         """Direction of motion along the plane's first (0) or second (1) letter, -1 or +1, (n,)."""
@@ -144,16 +144,16 @@ class CircleTest:
         return np.where(self.setup.sense * tangent > 0.0, 1.0, -1.0)
 
     def near_quadrant(self, window_deg: float) -> Bools:
-        """Which readings are nearer than `window_deg` to 0, 90, 180 or 270 degrees, (n,)."""
+        """Whether each reading is nearer than `window_deg` to 0, 90, 180 or 270 degrees, (n,)."""
         off = np.rad2deg(self.angle_rad) % 90.0
         return np.asarray(np.minimum(off, 90.0 - off) < window_deg)
 
     def taking_up(self, clearance_um: tuple[float, float], late_s: float = 0.0) -> Bools:
-        """Which readings are so near to a reversal that its axis may still cross the clearance there, (n,).
+        """Whether each reading is so near to a reversal that the axis may still be crossing its clearance, (n,).
 
         Args:
-            clearance_um: of both axes.
-            late_s: the axes may come to the reversal so much later than the angles say.
+            clearance_um: clearance of both axes.
+            late_s: largest time by which the axes may reach the reversal later than commanded.
         """
         out = np.zeros(len(self), dtype=np.bool_)
         for place, clearance in enumerate(clearance_um):
@@ -166,11 +166,11 @@ class CircleTest:
         return out
 
     def later(self, time_s: float) -> "CircleTest":
-        """At the angles where a machine is that comes so much later than commanded."""
+        """The test at the angles that the machine has reached if it lags the command by `time_s`."""
         return replace(self, angle_rad=self.angle_rad - self.setup.sense * time_s * self.omega_rad_s)
 
     def rows(self, keep: Bools) -> "CircleTest":
-        """Only these readings."""
+        """The test with only these readings, (n,)."""
         return CircleTest(
             self.name, self.machine, self.instrument, self.angle_rad[keep], self.travel_deg[keep],
             self.reading_um[keep], self.run[keep], self.left_out, self.phase_rate,
@@ -181,7 +181,8 @@ def circle_of(measurement: Measurement) -> CircleTest:
     """The measured arc of a measurement.
 
     Raises:
-        MeasurementError: another instrument, neither angles nor positions, or too few readings on the arc.
+        MeasurementError: the instrument is not a ball bar, there are neither angles nor positions, or the arc has too
+            few readings.
     """
     name, instrument = measurement.name, measurement.instrument
     if not isinstance(instrument, BallBar):
@@ -217,7 +218,7 @@ def circles_of(measurements: Sequence[Measurement]) -> tuple[CircleTest, ...]:
     """Several tests of one plane on one machine.
 
     Raises:
-        MeasurementError: none, different machines or planes, or as `circle_of`.
+        MeasurementError: there is no test, machines or planes differ, or as `circle_of`.
     """
     out = tuple(circle_of(m) for m in measurements)
     if not out:

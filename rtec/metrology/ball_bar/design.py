@@ -1,7 +1,7 @@
-"""What each parameter adds to the readings of several ball-bar tests, and which parameters they separate.
+"""The design matrix of several ball-bar tests, and which parameters it separates.
 
-The stacked design holds the columns of [BB]'s parameters, to first order and exactly; its rank says what no reading
-sees and which sets stay confounded; beside it stand the columns of everything that is looked for beyond [BB].
+The stacked design has the columns of [BB]'s parameters, to first order and exactly. Its rank shows which parameters
+have no influence on the readings and which stay confounded. Beside it are the columns of the candidates beyond [BB].
 """
 
 import math
@@ -20,24 +20,24 @@ from rtec.metrology.ball_bar.circle import CircleTest
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 UNSEEN = 1e-9
-"""A column smaller than this share of the largest is not there."""
+"""A column smaller than this share of the largest counts as zero."""
 ALIKE = 1e-6
 """A direction with a singular value below this share of the largest is not separated."""
 IN_IT = 1e-3
-"""Share in such directions from which on a parameter belongs to a confounded set."""
+"""A parameter belongs to a confounded set if its share in such a direction is larger than this."""
 
 
 @dataclass(frozen=True)
 class Rank:
-    """What a design separates.
+    """Which parameters a design separates.
 
     Attributes:
-        count: parameters asked for.
-        rank: combinations of them that can be found.
-        never: that no reading sees.
-        confounded: sets of which only combinations can be found.
-        condition: of the columns that are seen, each scaled to one; over the directions that are separated.
-        kept: places of the parameters that a fit can have: of a confounded set the first ones.
+        count: number of parameters.
+        rank: number of combinations of them that the readings determine.
+        never: parameters without influence on any reading.
+        confounded: sets of which the readings determine only combinations.
+        condition: condition number of the columns, each scaled to one, over the separated directions.
+        kept: places of the parameters that a fit can have; of a confounded set the first ones.
     """
 
     count: int
@@ -49,12 +49,12 @@ class Rank:
 
     @property
     def complete(self) -> bool:
-        """Can every parameter be found?"""
+        """Whether the readings determine every parameter."""
         return self.rank == self.count
 
 
 def rank_of(design: Floats, names: Sequence[str]) -> Rank:
-    """Judge a design, (readings, parameters), with one name a column."""
+    """The rank of a design, (readings, parameters), with one name a column."""
     size = np.linalg.norm(design, axis=0)
     seen = [int(i) for i in np.flatnonzero(size > UNSEEN * max(float(size.max(initial=0.0)), 1e-300))]
     never = tuple(n for i, n in enumerate(names) if i not in seen)
@@ -69,7 +69,7 @@ def rank_of(design: Floats, names: Sequence[str]) -> Rank:
 
 
 def _kept(scaled: Floats) -> list[int]:
-    """Columns that the ones before them do not make already."""
+    """Places of the columns that are independent of the ones before them."""
     out: list[int] = []
     basis = np.zeros((len(scaled), 0))
     for i in range(scaled.shape[1]):
@@ -83,7 +83,7 @@ def _kept(scaled: Floats) -> list[int]:
 
 
 def _sets(unseen: Floats, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Connected parts of the projector on the directions that are not seen."""
+    """Sets of parameters that the projector on the undetermined directions connects."""
     projector = unseen @ unseen.T
     left = {i for i in range(len(names)) if projector[i, i] > IN_IT}
     out = []
@@ -103,7 +103,7 @@ Centre = Literal["shared", "each"]
 
 
 def unseen_of(columns: Floats) -> Floats:
-    """Changes of the parameters of a confounded set, (parameters, m), that no reading sees; columns are (n, k)."""
+    """Changes of a confounded set's parameters, (k, m), that change no reading; columns are (n, k)."""
     size = np.linalg.norm(columns, axis=0)
     _, singular, rows = np.linalg.svd(columns / size, full_matrices=False)
     return np.asarray(rows[singular <= ALIKE * singular[0]].T / size[:, None], dtype=np.float64)
@@ -112,11 +112,11 @@ def unseen_of(columns: Floats) -> Floats:
 def determined(columns: Floats, of: Sequence[int]) -> Floats:
     """Combinations of some parameters of a confounded set that the readings determine, (m, parameters).
 
-    Each begins with a factor of one; as few parameters as can be are in each.
+    The first factor of each is one; each has as few parameters as possible.
 
     Args:
-        columns: of the whole set, (readings, k).
-        of: places of those parameters; the others have no part in a combination.
+        columns: columns of the whole set, (readings, k).
+        of: places of those parameters; the others do not occur in a combination.
     """
     size = np.linalg.norm(columns, axis=0)
     unseen = (unseen_of(columns) * size[:, None])[list(of)].T
@@ -135,28 +135,28 @@ def determined(columns: Floats, of: Sequence[int]) -> Floats:
         seen[others] -= seen[others][:, [column]] * seen[place]
         place += 1
     seen[np.abs(seen) < IN_IT] = 0.0
-    # Scaled columns are the parameters times their size; the first factor is one again in their own units.
+    # The columns are scaled; dividing by the size gives factors in the parameters' units, the first one again.
     own = seen * size[list(of)]
     first = own[np.arange(len(own)), (own != 0.0).argmax(axis=1)] if len(own) else np.zeros(0)
     return np.asarray(own / first[:, None], dtype=np.float64)
 
 
 SETTING_UP = "setting up"
-"""Group of what belongs to the instrument's set-up and not to the machine."""
+"""Group of the causes that belong to the instrument's set-up and not to the machine."""
 FLAT_MM = 1e-6
-"""A bar that leans by less does not show the height."""
+"""A bar that is inclined by less does not show the height."""
 
 
 @dataclass(frozen=True)
 class BarDesign:
-    """All tests, one under the other.
+    """The stacked design of all tests, with n readings and k parameters.
 
     Attributes:
         labels: the parameters, (k).
-        columns: first order: reading, µm, per unit of each, (n, k).
-        tips: how one unit moves one ball against the other, µm, (n, k, 3).
-        squares: what goes with its square, µm, (n, k, 3).
-        bar_mm: from one ball to the other, (n, 3).
+        columns: first order: reading, µm, per unit of each parameter, (n, k).
+        tips: displacement of one ball relative to the other per unit, µm, (n, k, 3).
+        squares: displacement per square of the unit, µm, (n, k, 3).
+        bar_mm: vector from one ball to the other, (n, 3).
     """
 
     labels: tuple[Cause, ...]
@@ -167,42 +167,42 @@ class BarDesign:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters, (k)."""
+        """Names of the parameters, (k)."""
         return tuple(c.name for c in self.labels)
 
     def rows(self, keep: NDArray[np.bool_]) -> "BarDesign":
-        """Only these readings, (n,)."""
+        """The design with only these readings, (n,)."""
         return BarDesign(self.labels, self.columns[keep], self.tips[keep], self.squares[keep], self.bar_mm[keep])
 
     @cached_property
     def known(self) -> tuple[int, ...]:
-        """Places of the parameters of which something is known before any reading."""
+        """Places of the parameters with a prior uncertainty."""
         return tuple(i for i, c in enumerate(self.labels) if math.isfinite(c.prior))
 
     @cached_property
     def rank(self) -> Rank:
-        """What the tests separate, by readings or by what is known before; `kept` are places among all parameters."""
+        """What readings and priors together separate; `kept` are places among all parameters."""
         free = [i for i in range(len(self.labels)) if i not in self.known]
         out = rank_of(self.columns[:, free], [self.names[i] for i in free])
         return replace(out, kept=(*(free[i] for i in out.kept), *self.known))
 
     @cached_property
     def by_readings(self) -> Rank:
-        """What the readings alone separate, with nothing known before."""
+        """What the readings alone separate, without priors."""
         return rank_of(self.columns, self.names)
 
     @cached_property
     def _by_parameter(self) -> Floats:
-        """The tips, (k, 3 n): what they come to is then one product."""
+        """The tips as (k, 3 n), so that their sum is one matrix product."""
         return self.tips.transpose(1, 0, 2).reshape(len(self.labels), -1)
 
     @cached_property
     def _curved(self) -> Ints:
-        """Places of the parameters that have a square."""
+        """Places of the parameters with a term in their square."""
         return np.flatnonzero(self.squares.any(axis=(0, 2)))
 
     def second_order_um(self, kept: Sequence[int], values: Floats) -> Floats:
-        """What the exact length adds to the first order, µm, (n,), for some of the parameters."""
+        """Exact reading minus first order, µm, (n,), at values of some of the parameters."""
         before = np.linalg.norm(self.bar_mm, axis=1)
         first, moved = self._moved_mm(kept, values)
         after = np.linalg.norm(self.bar_mm + moved, axis=1)
@@ -210,7 +210,7 @@ class BarDesign:
         return np.asarray((exact - np.einsum("nd,nd->n", self.bar_mm, first) / before) * 1e3)
 
     def slopes(self, kept: Sequence[int], values: Floats) -> Floats:
-        """Reading, µm, per unit of some of the parameters, (n, kept), at these values: the bar has turned."""
+        """Reading, µm, per unit of some of the parameters, (n, kept), at these values, which turn the bar."""
         before = self.bar_mm / np.linalg.norm(self.bar_mm, axis=1, keepdims=True)
         after = self.bar_mm + self._moved_mm(kept, values)[1]
         after = after / np.linalg.norm(after, axis=1, keepdims=True)
@@ -227,14 +227,14 @@ class BarDesign:
         return out
 
     def _moved_mm(self, kept: Sequence[int], values: Floats) -> tuple[Floats, Floats]:
-        """How far one ball has moved against the other, to first order and with the squares, (n, 3) each."""
+        """Displacement of one ball relative to the other, to first order and with the squares, (n, 3) each."""
         whole = self._whole(kept, values)
         first = 1e-3 * (whole @ self._by_parameter).reshape(-1, 3)
         return first, first + 1e-3 * sum(self.squares[:, i] * whole[i] ** 2 for i in self._curved)
 
 
 def stacked_design(of: Sequence[Cause], circles: Sequence[CircleTest]) -> Floats:
-    """Columns of causes in all tests, one test under the other, (readings, causes), µm per unit."""
+    """Columns of causes in all tests, stacked, (readings, causes), µm per unit."""
     parts = [np.stack([np.einsum("nd,nd->n", tip_um(x, c, circles[0]), c.along) for x in of], axis=1) for c in circles]
     return np.concatenate(parts)
 
@@ -242,14 +242,14 @@ def stacked_design(of: Sequence[Cause], circles: Sequence[CircleTest]) -> Floats
 def design_of(
     circles: Sequence[CircleTest], *, bent: bool, centre: Centre = "shared", more: Sequence[Cause] = ()
 ) -> BarDesign:
-    """[BB]'s parameters in several tests, heights of the ball, and the zero of a bar that was not calibrated.
+    """The design with [BB]'s parameters, heights of the ball, and the zero of a bar that was not calibrated.
 
     Args:
         circles: tests of one plane; shapes and arms count from the first one's centre.
-        bent: the non-linear model.
-        centre: "shared": the table-side ball stays where it is from test to test, as [BB] has it; "each": it does
-            not, and then nothing separates perpendicularity from its place.
-        more: causes beyond [BB]'s; they come after these.
+        bent: use the non-linear model.
+        centre: "shared": the table-side ball stays in place from test to test, as in [BB]; "each": it does not, and the
+            tests then do not separate perpendicularity from its place.
+        more: causes beyond [BB]'s; they follow these.
     """
     of = (*causes(circles[0], bent=bent), *more)
     labels, tips, squares = [], [], []
@@ -282,7 +282,7 @@ def design_of(
 def _split(
     cause: Cause, circles: Sequence[CircleTest], rows: NDArray[np.int64], centre: Centre
 ) -> Iterator[tuple[Cause, NDArray[np.bool_]]]:
-    """The cause in all tests together, or a centre offset in each."""
+    """One column of the cause for all tests; for a centre offset that is not shared, one a test."""
     if cause.centre is None or centre == "shared" or len(circles) == 1:
         yield cause, np.ones(len(rows), dtype=np.bool_)
         return
@@ -291,7 +291,7 @@ def _split(
 
 
 def _heights(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
-    """What the table-side ball is higher than is said, in each test whose bar leans."""
+    """Actual minus stated height of the table-side ball, in each test with an inclined bar."""
     for i, circle in enumerate(circles):
         known_um = 1e3 * circle.setup.height_uncertainty_mm
         if known_um > 0.0 and abs(circle.setup.height_mm) > FLAT_MM:
@@ -302,7 +302,7 @@ def _heights(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator
 
 
 def _zeros(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
-    """Length of a bar that was not calibrated, once in a test or in every run."""
+    """Length of a bar that was not calibrated: one a test, or one a run."""
     run = np.concatenate([c.run for c in circles])
     for i, circle in enumerate(circles):
         if circle.setup.zero == "setup":
@@ -316,11 +316,11 @@ def _zeros(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[t
 
 
 APART = 0.1
-"""A cause of whose columns less than this share is left beside all the others is not separated from them."""
+"""A cause is not separated from the others if less than this share of its columns is independent of theirs."""
 UNSEEN_UM = 1e-6
-"""Readings for one unit of a parameter below which no reading sees it."""
+"""A parameter has no influence if one unit of it changes every reading by less than this."""
 PART_OF = 0.3
-"""Share of the largest from which on a parameter is named among those that make the same."""
+"""A parameter is named as a twin if its part is larger than this share of the largest part."""
 
 
 @dataclass(frozen=True)
@@ -328,11 +328,11 @@ class NotLookedFor:
     """A cause that these tests cannot show.
 
     Attributes:
-        candidate: which.
-        why: in words.
-        twins: names of what it is not separated from; none where it cannot be seen at all.
-        parts: sizes of known parameters, by name, that make the same readings as one unit of it.
-        rival: it was looked for, and does nearly as well as its twins, which were found.
+        candidate: the cause.
+        why: the reason, in words.
+        twins: names of the causes from which it is not separated; none where it has no influence on the readings.
+        parts: sizes of known parameters, by name, that give the same readings as one unit of it.
+        rival: it was tested, and explains the readings nearly as well as its twins, which were named.
     """
 
     candidate: ExtraCause
@@ -342,26 +342,26 @@ class NotLookedFor:
     rival: bool = False
 
     def goes_into(self, factors: Mapping[str, float]) -> bool:
-        """Is it not separated from what is determined of some parameters, a sum with these factors by name?"""
+        """Whether it changes a determined combination of parameters, given by factors by name."""
         terms = [factor * self.parts.get(name, 0.0) for name, factor in factors.items() if name in self.twins]
         return abs(sum(terms)) > IN_IT * max((abs(t) for t in terms), default=0.0)
 
 
 @dataclass(frozen=True)
 class CandidateTable:
-    """What several tests see of [BB]'s parameters and of the candidates.
+    """Columns of [BB]'s parameters and of the candidates in several tests.
 
     Attributes:
-        circles: readings that are used.
-        design: [BB]'s non-linear model: what it can explain is not given to another cause.
-        tried: candidates that are seen and separate.
-        columns: of each candidate, for each way to the top of a spike, (n, k).
-        left_out: the others.
+        circles: the readings that are used.
+        design: [BB]'s non-linear model; no candidate gets what it can explain.
+        separated: candidates that influence the readings and are separated from the others.
+        columns: columns of each of them, for each distance to the top of a spike, (n, k).
+        left_out: the other candidates.
     """
 
     circles: tuple[CircleTest, ...]
     design: BarDesign
-    tried: tuple[ExtraCause, ...]
+    separated: tuple[ExtraCause, ...]
     columns: tuple[tuple[Floats, ...], ...]
     left_out: tuple[NotLookedFor, ...]
 
@@ -372,13 +372,13 @@ class CandidateTable:
 
 
 def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
-    """Work out the columns and which candidates separate."""
+    """Compute the columns, and which candidates are separated."""
     design = design_of(circles, bent=True, centre=centre)
     rank = design.by_readings
     known = design.columns[:, list(rank.kept)]
     names = [design.names[i] for i in rank.kept]
     basis = np.linalg.qr(known / _sizes(known))[0]
-    tried, columns, left_out = [], [], []
+    separated, columns, left_out = [], [], []
     for candidate in candidates(circles):
         if candidate.missing:
             left_out.append(NotLookedFor(candidate, candidate.missing))
@@ -396,21 +396,21 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
             same = dict(zip(names, (parts[:, 0] / _sizes(known)).tolist(), strict=True))
             left_out.append(NotLookedFor(candidate, f"not separated from {' and '.join(twins)}", twins, same))
         else:
-            tried.append(candidate)
+            separated.append(candidate)
             columns.append(own)
             known = np.concatenate([known, seen], axis=1)
             basis = np.concatenate([basis, np.linalg.qr(left)[0]], axis=1)
             names += [candidate.name] * seen.shape[1]
-    return CandidateTable(tuple(circles), design, tuple(tried), tuple(columns), tuple(left_out))
+    return CandidateTable(tuple(circles), design, tuple(separated), tuple(columns), tuple(left_out))
 
 
-def share_left(known: Floats, own: Floats) -> float:
-    """Smallest share of a combination of columns, (n, k), that columns that are known do not make."""
+def independent_share(known: Floats, own: Floats) -> float:
+    """Smallest share of a combination of columns, (n, k), that is independent of known columns."""
     return _beside(np.linalg.qr(known / _sizes(known))[0], own)[0]
 
 
 def _beside(basis: Floats, own: Floats) -> tuple[float, Floats]:
-    """Smallest share of a combination of columns, (n, k), that orthonormal ones do not make; and what they leave."""
+    """Smallest share of a combination of columns, (n, k), that an orthonormal basis lacks; and the scaled remainder."""
     scaled = own / _sizes(own)
     left = scaled - basis @ (basis.T @ scaled)
     left = left - basis @ (basis.T @ left)
@@ -419,7 +419,7 @@ def _beside(basis: Floats, own: Floats) -> tuple[float, Floats]:
 
 
 def with_setup(circle: CircleTest, **changes: float | str) -> CircleTest:
-    """A test like another one in everything but some keys of its set-up."""
+    """A copy of a test with some keys of its set-up changed."""
     setup = circle.setup.model_copy(update=changes)
     travel = (setup.sense * np.rad2deg(circle.angle_rad) - setup.sense * setup.start_deg) % 360.0
     return CircleTest(
@@ -436,7 +436,7 @@ def _unseen(candidate: ExtraCause, circles: Sequence[CircleTest]) -> str:
 
 
 def _twins(parts: Floats, names: Sequence[str], rank: Rank) -> tuple[str, ...]:
-    """What makes the same readings, the largest parts only."""
+    """Names of the parameters with the largest parts."""
     found = [n for n, part in zip(names, parts, strict=True) if part > PART_OF * parts.max()]
     alike = [n for n in found for group in rank.confounded if n in group for n in group]
     return tuple(dict.fromkeys([*found, *alike]))

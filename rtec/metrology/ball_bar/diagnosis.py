@@ -1,6 +1,6 @@
-"""Diagnosis of ball-bar tests: [BB]'s parameters and what they leave out, found together; and which test to add.
+"""Diagnosis of ball-bar tests: a joint fit of [BB]'s parameters and causes beyond them; and which test to add.
 
-The choice between the two models of [BB] follows its section 6, with what is found beyond them.
+The choice between the two models of [BB] follows its section 6, with the causes beyond them in the fit.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,7 +44,7 @@ from rtec.wording import significant
 SAME_MM = 1.0
 FASTER = 3.0
 FAST_MM_MIN = 6000.0
-"""From here on the other feed is the slower one."""
+"""Above this the other feed is a slower one."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class NextTest:
     """One more test.
 
     Attributes:
-        test: in words.
-        feed_mm_min: of it.
+        test: description in words.
+        feed_mm_min: feed of the test.
         names: causes that it separates.
     """
 
@@ -62,23 +62,23 @@ class NextTest:
     names: tuple[str, ...]
 
 
-def wanted(
+def next_tests(
     circles: Sequence[CircleTest], left_out: Sequence[NotLookedFor], centre: Centre, *, in_time: bool = False
 ) -> tuple[NextTest, ...]:
-    """Tests, one at a time added to the given ones, that show causes which these do not; each cause once.
+    """Further tests that show causes which the given ones do not; each is added alone, each cause occurs once.
 
     Args:
         circles: the given tests.
         left_out: causes that they do not show.
         centre: see `design_of`.
-        in_time: the servo phase is taken as one time in all tests.
+        in_time: the servo phase is the same time in all tests.
     """
     open_ = [x.candidate.name for x in left_out if not x.candidate.missing and not x.rival]
     out = []
     for words, circle in _ideas(circles) if open_ else ():
         if any(_same_test(circle, c) for c in circles):
             continue
-        # A spike has its own name at each feed; those are not what a new test is for.
+        # A spike has its own name at each feed; a new test is not for these.
         shown = _shown((*circles, circle), centre, in_time=in_time)
         names = tuple(n for n in open_ if n in shown)
         if names:
@@ -90,10 +90,10 @@ def wanted(
 def _shown(circles: Sequence[CircleTest], centre: Centre, *, in_time: bool) -> set[str]:
     """Names of the causes that some tests show."""
     if not in_time:
-        return {c.name for c in table_of(circles, centre).tried}
-    # A delay is told from one angle, not from one time, which is the same thing.
+        return {c.name for c in table_of(circles, centre).separated}
+    # A delay is separated from a phase that is one angle; a phase that is one time is the same as a delay.
     one_angle = _shown([replace(c, phase_rate=1.0) for c in circles], centre, in_time=False)
-    return {c.name for c in table_of(by_time(circles), centre).tried} | (one_angle & {"delay"})
+    return {c.name for c in table_of(by_time(circles), centre).separated} | (one_angle & {"delay"})
 
 
 def _same_test(one: CircleTest, other: CircleTest) -> bool:
@@ -116,7 +116,7 @@ def _ideas(circles: Sequence[CircleTest]) -> Iterator[tuple[str, CircleTest]]:
     flat = next((c for c in circles if abs(c.setup.height_mm) < 1e-9), None)
     if flat is not None:
         length = flat.setup.length_mm
-        # At the same angular speed a lag of an axis is the same angle.
+        # At the same angular speed the lag of an axis is the same angle.
         feed = float(f"{0.8 * flat.setup.feed_mm_min:.3g}")
         leaning = with_setup(flat, height_mm=round(0.6 * length, 1), radius_mm=round(0.8 * length, 1), feed_mm_min=feed)
         where = f"height {0.6 * length:.0f} mm, radius {0.8 * length:.0f} mm, {feed:g} mm/min"
@@ -126,22 +126,22 @@ def _ideas(circles: Sequence[CircleTest]) -> Iterator[tuple[str, CircleTest]]:
 
 Choice = Literal["auto", "linear", "non-linear"]
 SURE = 1e-3
-"""The non-linear model is taken where its advantage would be chance less often than this."""
+"""Accepted false-positive rate for the non-linear model (F test)."""
 
 
 def chosen(
     circles: Sequence[CircleTest], model: Choice, window_deg: float, centre: Centre, beyond: Beyond
 ) -> tuple[Fitted, str]:
-    """The model that is taken, fitted, and why in words.
+    """The fit of the chosen model, and the reason for the choice in words.
 
     Args:
         circles: tests of one plane.
-        model: which, or "auto".
+        model: the model, or "auto".
         window_deg, centre, beyond: see `fit`.
     """
     if model != "auto":
-        asked = fit(circles, bent=model == "non-linear", window_deg=window_deg, centre=centre, beyond=beyond)
-        return asked, "as asked"
+        requested = fit(circles, bent=model == "non-linear", window_deg=window_deg, centre=centre, beyond=beyond)
+        return requested, "as asked"
     straight = fit(circles, bent=False, window_deg=window_deg, centre=centre, beyond=beyond)
     bent = fit(circles, bent=True, window_deg=window_deg, centre=centre, beyond=beyond)
     if bent.rank.rank <= straight.rank.rank:
@@ -166,7 +166,7 @@ def chosen(
 
 
 def third_harmonic(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float) -> tuple[float, float]:
-    """Largest third harmonic in what a fit leaves, µm, and how often noise alone would make one as large."""
+    """Largest third harmonic of a fit's residual, µm, and the probability that noise alone gives one as large."""
     from rtec.metrology.procedures.fitting import correlation_time
 
     largest, least = 0.0, 1.0
@@ -187,7 +187,7 @@ def third_harmonic(circles: Sequence[CircleTest], fitted: Fitted, window_deg: fl
 
 
 def _better(straight: Fitted, bent: Fitted) -> float:
-    """How often chance alone would make the non-linear model so much better (F test)."""
+    """Probability that noise alone makes the non-linear model so much better (F test)."""
     from scipy.special import fdtrc
 
     count, ratio = bent.rank.rank - straight.rank.rank, _mean_squares(straight, bent)
@@ -198,16 +198,16 @@ def _better(straight: Fitted, bent: Fitted) -> float:
 
 
 def _mean_squares(straight: Fitted, bent: Fitted) -> float:
-    """Sum of squares of the linear model's residual over that of the non-linear one's."""
+    """Ratio of the residual sums of squares: linear model over non-linear one."""
     rss = [max(f.sigma_um, NOISE_UM) ** 2 * (f.used - f.rank.rank) for f in (straight, bent)]
     return rss[0] / rss[1]
 
 
 def _averaged(straight: Fitted, bent: Fitted) -> Fitted:
-    """The linear model where bends are not beyond chance, but may be: each parameter as the mean of both models.
+    """The linear model where bends are possible but not significant: weighted mean of both models for each parameter.
 
-    Each model has its weight; a standard error holds how far the two are apart. What the tests do not separate
-    from a bend is marked so.
+    The standard error includes the difference between the two. Parameters that the tests do not separate from a bend
+    are marked as such.
     """
     count = bent.rank.rank - straight.rank.rank
     gained = straight.used / bent.correlation * float(np.log(max(_mean_squares(straight, bent), 1.0)))
@@ -232,18 +232,18 @@ def _mean(one: FittedValue, two: FittedValue, weight: float) -> FittedValue:
 Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0
 RESIDUAL = "residual"
-"""Name among the shares of what no cause explains."""
+"""Name of the share that no cause explains."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """What one cause does to the circle.
+    """Share of one cause in the error of the circle.
 
     Attributes:
         group: the cause.
         g_um: circular deviation of its fitted curve alone, in the test where it is largest.
-        share: of the readings' mean square (without the set-up's part), 0 … 1; the residual has what the fit does not
-            explain, the causes what it does, in proportion to their own mean squares.
+        share: share of the readings' mean square (without the set-up's part), 0 … 1. The residual has the part that the
+            fit does not explain; the causes divide the rest in proportion to their own mean squares.
     """
 
     group: str
@@ -262,25 +262,25 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class BallBarDiagnosis(Result):
-    """Everything about some tests of one plane.
+    """Result of the diagnosis of some tests of one plane.
 
     Attributes:
         circles: the tests.
-        rounds, pairs: numbers of ISO 230-4.
-        fitted: the model that was taken.
-        reason: why that one, in words.
-        shares: ranked, largest first.
+        rounds, pairs: characteristics of ISO 230-4.
+        fitted: the chosen model.
+        reason: reason for the choice, in words.
+        shares: shares of the causes, largest first.
         spectra: harmonics, test by test.
         explained: share of the readings' variance (without the set-up's centre and zero) that the fit explains.
-        explained_bb: that [BB]'s parameters alone would, fitted away from the quadrants.
-        window_deg: about each quadrant; readings there are not used, or judged by a noise of their own.
+        explained_bb: share that [BB]'s parameters alone explain, fitted away from the quadrants.
+        window_deg: half-width about each quadrant; readings there are not used, or have a noise of their own.
         near_quadrants: share of the readings there.
-        found: what was looked for beyond [BB]'s parameters, what was found, and what could not be.
-        centre: as asked.
-        dynamic: was anything beyond [BB]'s parameters looked for?
-        phase: the servo phase taken as one angle in all tests, or as one time, and why.
-        changed: parameters that depend on which of them it is, where these tests do not tell.
-        lag_s: both axes are so late behind the command; 0 where the readings show none.
+        found: candidates beyond [BB]'s parameters: significant ones, others, and those that could not be tested.
+        centre: the argument of that name.
+        dynamic: whether candidates beyond [BB]'s parameters were tested.
+        phase: whether the servo phase is one angle or one time in all tests, and why.
+        changed: parameters that differ between the two, where these tests do not decide.
+        lag_s: lag of both axes behind the command; 0 where the readings show none.
     """
 
     page_maker: ClassVar[str] = "rtec.report.ball_bar:ball_bar_page"
@@ -305,13 +305,13 @@ class BallBarDiagnosis(Result):
 
     @cached_property
     def wanted(self) -> tuple[NextTest, ...]:
-        """Further tests that would show what these do not."""
+        """Further tests that show causes which these do not."""
         with one_blas_thread():
-            return wanted(self.circles, self.found.left_out, self.centre, in_time=self.phase.taken == "time")
+            return next_tests(self.circles, self.found.left_out, self.centre, in_time=self.phase.taken == "time")
 
     @property
     def named(self) -> Share | None:
-        """The largest cause of which something is determined beyond doubt."""
+        """The largest cause with a significant parameter or combination; None where there is none."""
         sure = {v.group for v in (*self.fitted.values, *self.fitted.combinations) if abs(v.value) > NAMED_SE * v.se}
         return next((s for s in self.shares if s.group in sure), None)
 
@@ -359,11 +359,11 @@ class BallBarDiagnosis(Result):
         }  # fmt: skip
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """The parameters."""
+        """One row a parameter."""
         return [{"name": name, **facts} for name, facts in self.facts()["parameters"].items()]
 
     def _phase_facts(self) -> dict[str, Any]:
-        """The servo phase: one angle in all tests, or one time."""
+        """Whether the servo phase is one angle in all tests, or one time."""
         return {
             "taken_as": self.phase.taken,
             "decided": self.phase.decided,
@@ -374,7 +374,7 @@ class BallBarDiagnosis(Result):
         }
 
     def _beyond_facts(self) -> dict[str, Any]:
-        """What was tested beyond [BB]'s parameters."""
+        """Results for the candidates beyond [BB]'s parameters."""
         return {
             "found": [
                 {
@@ -412,17 +412,17 @@ def diagnose(
     """Diagnose tests of one plane together.
 
     Args:
-        measurements: of instrument ball_bar, on one machine.
-        model: which of [BB]'s models, or the choice of its section 6.
-        window_deg: readings nearer than this to a quadrant are not used in the fit; where something beyond [BB]'s
-            parameters is found they are, with a noise of their own.
-        centre: does the table-side ball stay where it is from test to test?
-        orders: harmonics.
-        dynamic: look for causes beyond [BB]'s parameters.
-        phase: is the servo phase one angle in all tests, or one time? It matters where feed over radius differs.
+        measurements: measurements with instrument ball_bar on one machine.
+        model: one of [BB]'s models, or "auto": the choice of its section 6.
+        window_deg: the fit does not use readings nearer than this to a quadrant; if a cause beyond [BB]'s parameters is
+            significant, it uses them with a noise of their own.
+        centre: "shared" if the table-side ball stays in place from test to test, else "each".
+        orders: number of harmonics.
+        dynamic: test causes beyond [BB]'s parameters.
+        phase: whether the servo phase is one angle in all tests or one time; it matters where feed over radius differs.
 
     Raises:
-        MeasurementError: other instruments, planes or machines; too few readings.
+        MeasurementError: instruments, planes or machines differ, or there are too few readings.
     """
     with one_blas_thread():
         guides = (False, True) if model == "auto" else (model == "non-linear",)
@@ -444,7 +444,7 @@ def _diagnose(
         others = tuple(replace(c, phase_rate=p.phase_rate) for c, p in zip(circles, phase.other, strict=True))
         other, why = chosen(others, model, window_deg, centre, found.beyond)
         if other.model != fitted.model:
-            # What one answer calls a bend the other does not: both are then given with bent guides.
+            # The two phases may disagree about a bend: both fits then have bent guides.
             reason = reason if fitted.model == "non-linear" else why
             fitted, other = (
                 f if f.model == "non-linear" else chosen(of, "non-linear", window_deg, centre, found.beyond)[0]
@@ -479,7 +479,7 @@ def _diagnose(
 
 
 def _with_twins(fitted: Fitted, found: CausesFound) -> Fitted:
-    """Parameters with the causes that these tests do not separate from them: each value is then of them all."""
+    """The fit with, at each parameter, the causes from which these tests do not separate it."""
     twins: dict[str, list[str]] = {}
     for other in found.left_out:
         for name in other.twins:
@@ -518,7 +518,7 @@ def _spectrum(circle: CircleTest, fitted: Floats, orders: int) -> Spectrum:
 
 
 def _explained(circles: Sequence[CircleTest], fitted: Fitted, best: Fitted) -> float:
-    """By one fit; the set-up's own part is always taken from the best one."""
+    """Share of the variance that one fit explains; the set-up's part is always that of the best fit."""
     rest, whole = 0.0, 0.0
     for i, circle in enumerate(circles):
         machine_um = circle.reading_um - best.parts_um.get(SETTING_UP, (np.zeros(len(circle)),) * len(circles))[i]

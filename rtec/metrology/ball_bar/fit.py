@@ -1,6 +1,6 @@
-"""Least-squares fit of causes to several ball-bar tests at once, to the exact length of the bar.
+"""Joint least-squares fit of causes to several ball-bar tests, with the exact length of the bar.
 
-The fit gives each parameter with its standard error and interval, and what it comes to in words.
+The fit gives each parameter with its standard error, its interval, and a note on its meaning.
 """
 
 import math
@@ -43,10 +43,10 @@ class FittedValue:
         value: NaN where it is not determined.
         se: standard error.
         low, high: 95 % confidence interval.
-        with_: parameters that it is not separated from: by itself it is then not determined, or its value is what it
-            does together with causes that one feed does not show.
-        note: what it comes to, in words.
-        terms: of a combination of parameters, the only thing that is determined of them: names and factors.
+        with_: parameters from which it is not separated: then it is not determined alone, or its value includes causes
+            that cannot be distinguished from it at one feed.
+        note: its meaning in words, such as its size at the feeds of the tests.
+        terms: names and factors of a combination of parameters, where only this combination is determined.
     """
 
     name: str
@@ -64,11 +64,11 @@ class FittedValue:
 
 @dataclass(frozen=True)
 class OfHeight:
-    """Parameters that a height of the table ball takes the place of.
+    """Parameters that are confounded with the height of the table ball.
 
     Attributes:
-        names: of the parameters.
-        height_um: a ball that is so much higher makes what is fitted of them, as far as a height can.
+        names: names of the parameters.
+        height_um: change of the height that gives the fitted readings of these parameters, as far as a height can.
         known_um: standard uncertainty of the height.
     """
 
@@ -78,14 +78,14 @@ class OfHeight:
 
 
 def of_cause(cause: Cause, number: Number | None, wide: float, rank: Rank, note: str = "") -> FittedValue:
-    """A parameter that is one cause's size.
+    """The size of one cause as a parameter.
 
     Args:
-        cause: which.
+        cause: the cause.
         number: value and standard error; None where it was not fitted.
         wide: standard errors in half of a 95 % interval.
-        rank: tells what it is not separated from.
-        note: in words.
+        rank: has the parameters from which it is not separated.
+        note: its meaning in words.
     """
     together = tuple(n for group in rank.confounded if cause.name in group for n in group if n != cause.name)
     return _value((cause.name, cause.title, cause.unit, cause.group), number or UNKNOWN, wide, together, note)
@@ -113,7 +113,7 @@ def of_wave(candidate: ExtraCause, sine: Number, cosine: Number, wide: float) ->
 def of_width(
     candidate: ExtraCause, way_mm: float, way_se: float, circles: Sequence[CircleTest], wide: float
 ) -> FittedValue:
-    """Width of a spike at half its height, on the axis' way; the note has it as an angle and as a time."""
+    """Width of a spike at half its height, as travel of the axis; the note has it as an angle and as a time."""
     words = {}
     for c in circles:
         if candidate.feed_mm_min and not same_feed(c.setup.feed_mm_min, candidate.feed_mm_min, ALIKE_FEED):
@@ -126,7 +126,7 @@ def of_width(
 
 
 def note_of(cause: Cause, numbers: Mapping[str, Number], circles: Sequence[CircleTest]) -> str:
-    """What a servo's parameter comes to at the feeds of the tests; which way a squareness leans."""
+    """Size of a servo parameter at the feeds of the tests; direction in which a squareness inclines an axis."""
     value = numbers.get(cause.name, UNKNOWN)[0]
     if not np.isfinite(value) or value == 0.0:
         return ""
@@ -149,13 +149,13 @@ def note_of(cause: Cause, numbers: Mapping[str, Number], circles: Sequence[Circl
         return ""
     loop = ""
     if cause.name.startswith("gain_") and value > 0.0:
-        # A loop of first order without feed-forward is ½ τ² a short, K_v = 1/τ.
+        # A first-order loop without feed-forward makes the circle too small by ½ τ² a, K_v = 1/τ.
         loop = f"; as of a position loop of K_v = {1e3 / np.sqrt(2.0 * value):.0f} 1/s without feed-forward"
     return _by_test(words) + loop
 
 
 def _leans(cause: Cause, value: float, circle: CircleTest) -> str:
-    """Which way an axis leans that is turned so: `ε × d`; the sign of a turn alone says it to nobody."""
+    """Direction in which a rotation inclines an axis, `ε × d`, in words: the sign of a rotation is easily misread."""
     a, b, n = circle.setup.letters
     unit = dict(zip("XYZ", np.eye(3), strict=True))
     turn = value * unit["XYZ"["ABC".index(cause.component[1])]]
@@ -167,7 +167,7 @@ def _leans(cause: Cause, value: float, circle: CircleTest) -> str:
 
 
 def _by_test(words: Mapping[str, str]) -> str:
-    """What was said of each test, the same words once."""
+    """The texts by test; one that is the same for all tests occurs once."""
     names: dict[str, list[str]] = {}
     for name, said in words.items():
         names.setdefault(said, []).append(name)
@@ -190,17 +190,18 @@ def _value(
 
 Floats = NDArray[np.float64]
 ROUNDS = 3
-"""Steps to the exact length of the bar, each along the slopes where the last one ended; a fourth changes nothing."""
+"""Gauss-Newton steps to the exact length of the bar; a fourth does not change the result."""
 
 
 AGAINST = 3.0
-"""A further cause has to lessen the sum of squares by so many variances more than its parameters to be as likely."""
+"""Prior against a further cause: its reduction of the sum of squares, in variances, must exceed its parameters by this
+to make both models equally likely."""
 USUAL_UM = 1.0
-"""A cause that is there makes about so much of a circle, largest minus smallest."""
+"""Typical size of a cause's curve on a circle, largest minus smallest."""
 NAMED_SE = 4.0
-"""A cause of so many standard errors may be named by itself."""
+"""A cause with more standard errors than this may be named."""
 LEAST_UM = 1e-6
-"""Noise below this is none; what is known before the readings then still counts."""
+"""Lower bound of the noise, so that priors keep their weight when the residual is zero."""
 
 
 @dataclass(frozen=True)
@@ -208,14 +209,14 @@ class Solution:
     """Coefficients of some columns of a design.
 
     Attributes:
-        found: (k,).
-        covariance: (k, k), widened by `correlation`; with what was known before the readings.
-        sigma_um: standard deviation of the white part of what is left, away from the quadrants.
-        correlation: so many readings in a row count as one.
-        columns, residual: made white, (n, k) and (n,).
+        coefficients: (k,).
+        covariance: (k, k), multiplied by `correlation`; includes the priors.
+        sigma_um: standard deviation of the white part of the residual, away from the quadrants.
+        correlation: number of consecutive readings that count as one.
+        columns, residual: whitened, (n, k) and (n,).
     """
 
-    found: Floats
+    coefficients: Floats
     covariance: Floats
     sigma_um: float
     correlation: float
@@ -236,67 +237,67 @@ def solve(
     Args:
         design: of n readings.
         kept: places of the columns that are fitted; they must be independent.
-        reading_um: (n,).
-        circles: tests that they are of, in their order.
-        noise: its shape.
+        reading_um: readings, (n,).
+        circles: tests of the readings, in their order.
+        noise: shape of the noise.
     """
     prior = np.array([design.labels[i].prior for i in kept])
-    # What is known before is one more reading of that parameter, as sure as it is against the readings' noise.
+    # A prior is one more reading of its parameter, weighted by its uncertainty relative to the readings' noise.
     before = np.diag(1.0 / prior)[np.isfinite(prior)]
 
     def residual(values: Floats) -> Floats:
         made = design.columns[:, kept] @ values + design.second_order_um(kept, values)
         return noise.whiten(circles, (reading_um - made)[:, None])[:, 0]
 
-    def spread(left: Floats) -> Number:
-        sigma = float(np.sqrt(left @ left / max(len(left) - len(kept) + len(before), 1)))
-        return sigma, in_a_row(left, [len(c) for c in circles])
+    def spread(white: Floats) -> Number:
+        sigma = float(np.sqrt(white @ white / max(len(white) - len(kept) + len(before), 1)))
+        return sigma, in_a_row(white, [len(c) for c in circles])
 
-    found = np.zeros(len(kept))
-    left = residual(found)
+    coefficients = np.zeros(len(kept))
+    white = residual(coefficients)
     columns = noise.whiten(circles, design.columns[:, kept])
     size = np.linalg.norm(columns, axis=0)
-    sigma, rows = spread(left - columns @ (np.linalg.lstsq(columns / size, left, rcond=None)[0] / size))
+    sigma, rows = spread(white - columns @ (np.linalg.lstsq(columns / size, white, rcond=None)[0] / size))
     for _ in range(ROUNDS):
         scale = max(sigma * np.sqrt(rows), LEAST_UM)
         whole = np.concatenate([columns, scale * before]) / size
-        step = np.linalg.lstsq(whole, np.append(left, -scale * before @ found), rcond=None)[0] / size
-        found = found + step
-        left = residual(found)
-        columns = noise.whiten(circles, design.slopes(kept, found))
+        step = np.linalg.lstsq(whole, np.append(white, -scale * before @ coefficients), rcond=None)[0] / size
+        coefficients = coefficients + step
+        white = residual(coefficients)
+        columns = noise.whiten(circles, design.slopes(kept, coefficients))
         size = np.linalg.norm(columns, axis=0)
-        sigma, rows = spread(left)
+        sigma, rows = spread(white)
     scale = max(sigma * np.sqrt(rows), LEAST_UM)
     triangle = np.linalg.qr(np.concatenate([columns, scale * before]) / size, mode="r")
     inverse = np.linalg.solve(triangle, np.eye(len(kept))) / size[:, None]
-    return Solution(found, sigma**2 * rows * inverse @ inverse.T, sigma, rows, columns, left)
+    return Solution(coefficients, sigma**2 * rows * inverse @ inverse.T, sigma, rows, columns, white)
 
 
 def weight_of(gained: float, count: int) -> float:
-    """Weight of a model with so many parameters more: Akaike's, at odds that speak against it beforehand.
+    """Akaike weight of a model with further parameters, with the prior `AGAINST` it.
 
     Args:
-        gained: by how many variances of the noise it lessens the sum of squares.
-        count: of its further parameters.
+        gained: its reduction of the sum of squares, in variances of the noise.
+        count: number of its further parameters.
     """
     return 1.0 / (1.0 + math.exp(min(0.5 * (count + AGAINST - gained), 500.0)))
 
 
 def allowing(solved: Solution, more: Sequence[Floats], circles: Sequence[CircleTest], noise: AngleNoise) -> Solution:
-    """A solution that allows for causes which are not beyond chance and may be there all the same.
+    """A solution that allows for causes which are not significant but possible (Bayesian model averaging).
 
-    Each parameter is its mean over all that may be: nothing further, or one of these sets of causes, each with its
-    probability; the covariance holds how far they are apart. What noise hides of one cause then does not make another
-    one surer than it is. Before the readings all are at even odds, and a cause that is there makes about `USUAL_UM` of
-    a circle: where the readings would show far less, there is little that noise can hide.
+    Each parameter is its mean over all models: no further cause, or one of these sets of causes, each with its
+    probability. The covariance includes the differences between the models, so that a cause hidden by the noise does
+    not make another one look too certain. All models have the same prior probability, and the prior size of a cause is
+    `USUAL_UM`: where the readings would show far less, the noise can hide little.
 
     Args:
-        solved: with nothing further.
+        solved: the solution without further causes.
         more: columns of each set, (n, m) each.
         circles, noise: see `solve`.
     """
     power = max(solved.sigma_um, LEAST_UM) ** 2 * solved.correlation
-    evidence, apart, within = [0.0], [np.zeros(len(solved.found))], [solved.covariance]
+    evidence, apart, within = [0.0], [np.zeros(len(solved.coefficients))], [solved.covariance]
     for columns in more:
         range_ = np.ptp(columns, axis=0)
         if not (range_ > LEAST_UM).all():
@@ -315,27 +316,27 @@ def allowing(solved: Solution, more: Sequence[Floats], circles: Sequence[CircleT
     mean = weight @ apart
     away = np.array(apart) - mean
     covariance = np.einsum("m,mij->ij", weight, within) + (away.T * weight) @ away
-    return replace(solved, found=solved.found + mean, covariance=covariance)
+    return replace(solved, coefficients=solved.coefficients + mean, covariance=covariance)
 
 
 def in_a_row(left: Floats, lengths: Sequence[int]) -> float:
-    """How many readings in a row err together, in the test where that is worst."""
+    """Number of consecutive readings whose errors are correlated, in the worst test."""
     return max(correlation_time(part) for part in np.split(left, np.cumsum(lengths)[:-1]))
 
 
 STEP = 1e-3
-"""Share by which the way to a spike's top is changed to see what that does."""
+"""Relative change of the distance to a spike's top, for a derivative."""
 
 
 @dataclass(frozen=True)
 class Pick:
-    """A cause beyond [BB]'s that the readings show.
+    """A significant cause beyond [BB]'s.
 
     Attributes:
-        candidate: which.
-        way_mm: from the reversal to the top, where it is a spike.
-        heights_um: of that spike at each end where the axis turns round on an arc.
-        chance: how often noise alone would make as much of it, all that was looked for taken together.
+        candidate: the candidate.
+        way_mm: distance from the reversal to the top of a spike.
+        heights_um: heights of that spike, one for each end where the axis reverses on an arc.
+        chance: probability that noise alone gives as much, over all candidates together.
     """
 
     candidate: ExtraCause
@@ -346,16 +347,16 @@ class Pick:
 
 @dataclass(frozen=True)
 class Beyond:
-    """What is fitted beyond [BB]'s parameters, and how readings near the quadrants are then used.
+    """The causes beyond [BB]'s parameters in a fit, and its use of readings near the quadrants.
 
     Attributes:
         picks: the causes.
-        noise: of the readings.
-        clearance_um: of both axes; readings where an axis still crosses it are not used.
-        late_s: it may do so by so much later.
-        beside: causes that are not separated from a pick: nothing of the pick is determined without them.
-        dropped: causes that were looked for and are not beyond chance, each by itself, and every two that hide each
-            other: both may be there where neither shows.
+        noise: noise of the readings.
+        clearance_um: clearance of both axes; readings where an axis is still crossing it are not used.
+        late_s: largest time by which the axes may reach the reversal later than commanded.
+        beside: causes that are not separated from a pick; without them the pick is not determined.
+        dropped: tested causes that are not significant: each alone, and each pair that hide each other, as both may be
+            present where neither is significant.
     """
 
     picks: tuple[Pick, ...] = ()
@@ -368,21 +369,21 @@ class Beyond:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fit of all tests together.
+    """A joint fit of all tests.
 
     Attributes:
         model: "linear" or "non-linear".
-        values: every parameter that was asked for.
-        combinations: of those that are not determined one by one.
+        values: every parameter of the model.
+        combinations: determined combinations of the parameters that are not determined alone.
         rank: what these tests separate.
-        heights: where the height of the table ball and parameters are not separated.
-        parts_um: by group, the fitted reading of each test at all readings of its arc, (n,) each; groups that are not
-            separated are one.
-        left_um: measured minus fitted, likewise.
+        heights: parameters that are not separated from the height of the table ball.
+        parts_um: fitted reading of each group in each test at all readings of its arc, (n,) each, by group; groups that
+            are not separated are one.
+        left_um: residual, measured minus fitted, of each test, (n,) each.
         sigma_um: standard deviation of the residual in the readings that were used.
-        used: number of those.
-        correlation: so many of them count as one.
-        beyond: what is fitted beyond [BB]'s parameters.
+        used: number of those readings.
+        correlation: number of consecutive readings that count as one.
+        beyond: causes beyond [BB]'s parameters in the fit.
     """
 
     model: Literal["linear", "non-linear"]
@@ -402,7 +403,7 @@ class Fitted:
         return {v.name: v for v in self.values}[name]
 
     def fitted_um(self, test: int) -> Floats:
-        """Everything fitted in one test, (n,)."""
+        """Fitted readings of one test, µm, (n,)."""
         return np.asarray(np.sum([p[test] for p in self.parts_um.values()], axis=0), dtype=np.float64)
 
 
@@ -419,12 +420,12 @@ def fit(
     Args:
         circles: tests of one plane.
         bent: the non-linear model with its 15 parameters, else the linear one with 10.
-        window_deg: readings nearer than this to a quadrant are not used; with causes beyond [BB]'s they are.
+        window_deg: readings nearer than this to a quadrant are not used, unless there are causes beyond [BB]'s.
         centre: see `design_of`.
         beyond: those causes.
 
     Raises:
-        MeasurementError: too few readings are left.
+        MeasurementError: the fit would use too few readings.
     """
     beyond = beyond or Beyond()
     more = [*(c for p in beyond.picks for c in causes_of(p)), *beyond.beside]
@@ -440,9 +441,9 @@ def fit(
             "take a smaller window or more readings"
         )
     solved = solve(near, kept, reading, used, beyond.noise)
-    fitted = {k: (float(v), 0.0) for k, v in zip(kept, solved.found, strict=True)}
+    fitted = {k: (float(v), 0.0) for k, v in zip(kept, solved.coefficients, strict=True)}
     solved = allowing(solved, [stacked_design(of, used) for of in beyond.dropped], used, beyond.noise)
-    numbers = {k: (float(v), float(se)) for k, v, se in zip(kept, solved.found, solved.errors, strict=True)}
+    numbers = {k: (float(v), float(se)) for k, v, se in zip(kept, solved.coefficients, solved.errors, strict=True)}
     wide = quantile(max(len(reading) / solved.correlation - len(kept), 1.0))
     values = _values(near, numbers, wide, circles, beyond)
     joined = _joined(near, values)
@@ -465,13 +466,13 @@ def _used(circle: CircleTest, window_deg: float, beyond: Beyond) -> NDArray[np.b
 
 
 def causes_of(pick: Pick) -> tuple[Cause, ...]:
-    """Causes of a pick; of a spike also what a longer way to its top does."""
+    """Causes of a pick; for a spike also the change with the distance to its top."""
     of = pick.candidate.make(pick.way_mm)
     return (*of, _longer(pick)) if pick.candidate.kind == "spike" else of
 
 
 def _longer(pick: Pick) -> Cause:
-    """A spike's change with the logarithm of its way, at the heights that were found."""
+    """Derivative of a spike by the logarithm of the distance to its top, at the fitted heights."""
     longer, shorter = (pick.candidate.make(pick.way_mm * (1.0 + sign * STEP)) for sign in (1.0, -1.0))
 
     def shape(at: At) -> Floats:
@@ -486,7 +487,7 @@ def _longer(pick: Pick) -> Cause:
 
 
 def _joined(design: BarDesign, values: Sequence[FittedValue]) -> dict[str, str]:
-    """Groups that are shown as one because the readings do not separate them, each with the name of them all."""
+    """Groups that are shown as one because the readings do not separate them, each with the joint name."""
     sure = {v.name for v in values if abs(v.value) > NAMED_SE * v.se}
     out: dict[str, str] = {}
     for names in design.by_readings.confounded:
@@ -504,7 +505,7 @@ def _of_machine(cause: Cause) -> bool:
 def _combinations(
     design: BarDesign, kept: Sequence[int], solved: Solution, wide: float, joined: Mapping[str, str]
 ) -> tuple[FittedValue, ...]:
-    """What is determined of the machine's parameters in each set that the readings do not separate."""
+    """Determined combinations of the machine's parameters in each set that the readings do not separate."""
     out = []
     for names in design.by_readings.confounded:
         places = [i for i, c in enumerate(design.labels) if c.name in names]
@@ -518,7 +519,7 @@ def _combinations(
                 place = design.labels.index(cause)
                 if place in kept:
                     row[kept.index(place)] = factor
-            value, se = float(row @ solved.found), float(np.sqrt(max(float(row @ solved.covariance @ row), 0.0)))
+            value, se = float(row @ solved.coefficients), float(np.sqrt(max(float(row @ solved.covariance @ row), 0.0)))
             first = terms[0][0]
             called = (_sum((c.name, f) for c, f in terms), _sum((c.title, f) for c, f in terms), first.unit)
             found = _value((*called, joined[first.group]), (value, se), wide, (), "")
@@ -531,7 +532,7 @@ def _heights(design: BarDesign, numbers: Mapping[int, Number], joined: Mapping[s
     for names in design.by_readings.confounded:
         places = [i for i, c in enumerate(design.labels) if c.name in names]
         heights = [k for k, i in enumerate(places) if math.isfinite(design.labels[i].prior)]
-        # What a bar of unknown length hides is not there for the height to hide.
+        # Parameters that are already confounded with an unknown length of the bar do not count for the height.
         hidden = {n for s in design.rank.confounded for n in s}
         of = [k for k, i in enumerate(places) if design.labels[i].group in joined
               and _of_machine(design.labels[i]) and design.names[i] not in hidden]  # fmt: skip
@@ -548,7 +549,7 @@ def _heights(design: BarDesign, numbers: Mapping[int, Number], joined: Mapping[s
 
 
 def _sum(terms: Iterable[tuple[str, float]]) -> str:
-    """A combination as it is written; the first factor is one."""
+    """A combination as text; the first factor is one."""
     out = ""
     for name, factor in terms:
         times = "" if abs(factor) == 1.0 else f"{abs(factor):.4g} × "

@@ -1,6 +1,6 @@
 """Circular tests after ISO 230-4: G, G(b), F, H, D; and harmonics of the circle.
 
-All are worked out about the least-squares circle: its centre takes the setting-up out. Readings are along the bar,
+All refer to the least-squares circle: its centre removes the eccentricity of the set-up. Readings are along the bar,
 which is the radius only where the height is zero.
 """
 
@@ -21,7 +21,7 @@ class Roundness:
     """One test.
 
     Attributes:
-        name: of the test.
+        name: name of the test.
         g_um: circular deviation G, the largest of its runs.
         f_max_um, f_min_um: radial deviation F: about the centre of the least-squares circle where the circle is full,
             else about the centre as it was set up.
@@ -91,16 +91,16 @@ def harmonics(angle_rad: Floats, values_um: Floats, most: int = 15) -> tuple[Cir
     turns = np.arange(1, most + 1)
     waves = np.concatenate([np.cos(np.outer(angle_rad, turns)), np.sin(np.outer(angle_rad, turns))], axis=1)
     design = np.concatenate([np.ones((len(angle_rad), 1)), waves], axis=1)
-    found = np.linalg.lstsq(design, values_um, rcond=None)[0]
-    out = [CircleHarmonic(0, float(found[0]), 0.0)]
+    coefficients = np.linalg.lstsq(design, values_um, rcond=None)[0]
+    out = [CircleHarmonic(0, float(coefficients[0]), 0.0)]
     for k in turns:
-        c, s = float(found[k]), float(found[most + k])
+        c, s = float(coefficients[k]), float(coefficients[most + k])
         out.append(CircleHarmonic(int(k), float(np.hypot(c, s)), float(np.rad2deg(np.arctan2(s, c)) / k)))
     return tuple(out)
 
 
 def mean_path(circle: CircleTest, travel_deg: Floats) -> Floats:
-    """Mean of the runs at given places on the arc, µm, (m,)."""
+    """Mean of the runs at given angles from the arc's start, µm, (m,)."""
     paths = [np.interp(travel_deg, circle.travel_deg[k], circle.reading_um[k]) for k in _runs(circle) if np.sum(k) > 1]
     return np.asarray(np.mean(paths, axis=0), dtype=np.float64)
 
@@ -122,7 +122,7 @@ def _pair(ccw: CircleTest, cw: CircleTest) -> BothWays:
 
 
 def _without(circle: CircleTest, travel_deg: Floats) -> NDArray[np.bool_]:
-    """Which places are in a gap of the readings."""
+    """Whether each angle is in a gap of the readings."""
     inside = [(low < travel_deg) & (travel_deg < high) for low, high in circle.gaps]
     return np.asarray(np.any([np.zeros(len(travel_deg), dtype=np.bool_), *inside], axis=0), dtype=np.bool_)
 
@@ -144,7 +144,7 @@ def _runs(circle: CircleTest) -> list[NDArray[np.bool_]]:
 
 
 def least_squares_circle(angle_rad: Floats, reading_um: Floats) -> tuple[float, float, float, Floats]:
-    """Radius and centre of the best circle, µm, and what is left, (n,)."""
+    """Radius and centre of the least-squares circle, µm, and the residual, (n,)."""
     design = np.stack([np.ones(len(angle_rad)), np.cos(angle_rad), np.sin(angle_rad)], axis=1)
-    found = np.linalg.lstsq(design, reading_um, rcond=None)[0]
-    return float(found[0]), float(found[1]), float(found[2]), reading_um - design @ found
+    coefficients = np.linalg.lstsq(design, reading_um, rcond=None)[0]
+    return float(coefficients[0]), float(coefficients[1]), float(coefficients[2]), reading_um - design @ coefficients

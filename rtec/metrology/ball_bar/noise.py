@@ -1,11 +1,11 @@
-"""Noise of ball-bar readings: white, and a part that wanders along the circle; and readings made white by it.
+"""Noise of ball-bar readings: a white part and a slow part along the circle; and whitening.
 
     reading = signal + w + g        w independent from reading to reading, variance 1 (over `near`² at the quadrants)
-    g along the way ζ:              Ornstein-Uhlenbeck, variance d, forgets within τ: cov = d exp(-|Δζ| / τ)
+    g along the angle ζ:            Ornstein-Uhlenbeck, variance d, correlation length τ: cov = d exp(-|Δζ| / τ)
 
-A Kalman filter's innovations over their standard deviations are the readings made white, in one pass. d and τ are
-those of the largest restricted likelihood, with everything that is looked for in the mean: what a fit of forty
-parameters has swallowed of a slow noise is accounted for, which the correlation of the residual would not show.
+The whitened readings are a Kalman filter's innovations over their standard deviations, in one pass. d and τ have the
+largest restricted likelihood, with all candidates in the mean. This accounts for the slow noise that a fit of forty
+parameters absorbs, which the correlation of the residual would not show.
 """
 
 import math
@@ -21,22 +21,23 @@ from rtec.metrology.ball_bar.circle import CircleTest
 Floats = NDArray[np.float64]
 SHARES = (0.1, 1.0, 10.0)
 WAYS_RAD = (0.05, 0.2, 0.8, 3.0)
-"""Where the search for d and τ begins."""
+"""Starts of the search for d and τ."""
 LOWEST, HIGHEST = np.log([1e-3, 0.01]), np.log([1e3, 6.0])
 STEPS = 24
 LIKELY = 4.0
-"""Minus twice the logarithm of the likelihood: a noise that is worse by less than this may be the true one."""
+"""A noise is still likely if minus twice its log-likelihood exceeds the smallest one by less than this."""
 
 
 @dataclass(frozen=True)
 class AngleNoise:
-    """Shape of the noise; its size is left open.
+    """Shape of the noise, without its size.
 
     Attributes:
-        share: d, variance of the part that wanders over that of the white one.
-        way_rad: τ.
-        near: at the quadrants the white part is so much smaller than elsewhere: 1, or less where it is larger.
-        window_deg: how far the quadrants reach.
+        share: d, ratio of the variances: slow part over white part.
+        way_rad: τ, rad.
+        near: standard deviation of the white part elsewhere over that at the quadrants: 1, or less if it is larger
+            there.
+        window_deg: half-width of the quadrants.
     """
 
     share: float = 0.0
@@ -45,7 +46,7 @@ class AngleNoise:
     window_deg: float = 5.0
 
     def whiten(self, circles: Sequence[CircleTest], columns: Floats) -> Floats:
-        """Columns over all readings of the tests, (n, p), made white, (n, p)."""
+        """Whiten columns over all readings of the tests, (n, p); gives (n, p)."""
         return self._filter(circles, columns)[0]
 
     def _filter(self, circles: Sequence[CircleTest], columns: Floats) -> tuple[Floats, float]:
@@ -54,7 +55,7 @@ class AngleNoise:
         return out, float(_whiten(out, _apart_rad(circles), white, self.share, self.way_rad))
 
     def cost(self, circles: Sequence[CircleTest], columns: Floats, reading: Floats) -> float:
-        """Minus twice the restricted likelihood, less what is the same for all noises."""
+        """Minus twice the restricted log-likelihood, without terms that are the same for all noises."""
         both, log_det = self._filter(circles, np.concatenate([columns, reading[:, None]], axis=1))
         size = np.linalg.norm(both[:, :-1], axis=0)
         normal = (both[:, :-1] / size).T @ (both / np.append(size, 1.0))
@@ -71,17 +72,16 @@ WHITE = AngleNoise()
 def find_noise(
     circles: Sequence[CircleTest], columns: Floats, reading: Floats, near: float, window_deg: float
 ) -> tuple[AngleNoise, AngleNoise]:
-    """The noise of the largest restricted likelihood, and the slowest large one that is still likely.
+    """The noise of the largest restricted likelihood, and of those still likely the one with the largest d τ.
 
-    A wandering noise shows only a few of its turns on a circle, so how large it is stays uncertain; what is to be more
-    than chance must be so beside the second one, too.
+    A circle has only a few periods of a slow noise, so that its size stays uncertain; a cause must be significant with
+    the second noise, too.
 
     Args:
-        circles: tests.
-        columns: everything that the readings may hold, independent, (n, p).
-        reading: (n,).
-        near: as in `Noise`.
-        window_deg: likewise.
+        circles: the tests.
+        columns: independent columns of everything that the readings may contain, (n, p).
+        reading: readings, (n,).
+        near, window_deg: as in `AngleNoise`.
     """
     from scipy.optimize import minimize
 
@@ -110,7 +110,7 @@ def _simplex(start: Floats) -> Floats:
 
 
 def _apart_rad(circles: Sequence[CircleTest]) -> Floats:
-    """Way from the reading before, (n,); infinity where a test or a run begins."""
+    """Angle from the reading before, rad, (n,); infinity where a test or a run begins."""
     out = []
     for c in circles:
         apart = np.abs(np.diff(c.angle_rad, prepend=np.inf))
@@ -120,7 +120,7 @@ def _apart_rad(circles: Sequence[CircleTest]) -> Floats:
 
 @njit
 def _whiten(columns: Floats, apart: Floats, white: Floats, share: float, way: float) -> float:
-    """Whiten in place, (n, p); gives log det of the covariance."""
+    """Whiten columns in place, (n, p); gives log det of the covariance."""
     n, p = columns.shape
     held = np.zeros(p)
     variance, total = 0.0, 0.0

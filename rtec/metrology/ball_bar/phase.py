@@ -1,15 +1,15 @@
-"""Servo: how late both axes are, and whether their phase is one angle in all tests or one time.
+"""Servo: the lag of both axes, and whether their phase is one angle in all tests or one time.
 
-A position loop without feed-forward of gain K_v is 1/K_v late, and makes a circle too small by ½ a / K_v². The second,
-a gain error that two feeds tell from a scale, gives K_v; the first moves clearance and all else of a reversal away from
-the commanded quadrant. Which of two machines it is, one that is late or one that is only too small, the readings about
-the quadrants decide.
+A position loop of gain K_v without feed-forward lags by 1/K_v and makes a circle too small by ½ a / K_v². The size
+gives K_v: two feeds separate this gain error from a scale error. The lag moves clearance and every other reversal error
+away from the commanded quadrant. The readings about the quadrants decide whether the machine lags or its circle is only
+too small.
 
-[BB] has the servo phase as one angle; a real lag of an axis is one time. Between tests that go round at the same
-angular speed (feed over radius) the two are one. Else they are not: at one feed a circle of 120 mm has a phase a
-quarter larger than one of 150 mm for the same lag, and as one angle the difference would be called twist, squareness
-or clearance. Where a delay separates from the phase (other feeds), both are fitted; else the readings decide, and where
-they cannot, it is [BB]'s angle and intervals hold both answers.
+In [BB] the servo phase is one angle; a real lag of an axis is one time. In tests with the same angular speed (feed over
+radius) both are the same. Otherwise they differ: at one feed a circle of 120 mm has a phase a quarter larger than one
+of 150 mm for the same lag, and a fit with one angle would attribute the difference to twist, squareness or clearance.
+Where the tests separate a delay from the phase (several feeds), both are fitted. Otherwise the readings decide; where
+they cannot, the phase is [BB]'s angle, and the intervals include both answers.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import CircleTest
-from rtec.metrology.ball_bar.design import APART, Centre, design_of, share_left, stacked_design
+from rtec.metrology.ball_bar.design import APART, Centre, design_of, independent_share, stacked_design
 from rtec.metrology.ball_bar.fit import Fitted, FittedValue, fit, solve
 from rtec.metrology.ball_bar.noise import WHITE
 from rtec.metrology.ball_bar.search import NOISE_UM, SURE_SE, clearance_of, residual_of_all
@@ -31,25 +31,25 @@ Floats = NDArray[np.float64]
 Kind = Literal["angle", "time"]
 Phase = Literal["auto", "angle", "time"]
 SAME_SPEED = 1e-3
-"""Angular speeds nearer than this share of each other are one."""
+"""Angular speeds that differ by less than this share count as one."""
 SURE = 6.0
-"""Twice the logarithm of the odds from which on readings decide: 20 to 1."""
+"""Twice the logarithm of the odds at which the readings decide: 20 to 1."""
 
 
 SLOWEST_S = 1.0 / 15.0
 """Lag of the slowest position loop in use."""
 PLAIN = 0.3
-"""Gain errors of two plain loops differ by less than this share of them, noise apart."""
+"""Gain errors of two loops without feed-forward differ by less than this share of them, apart from noise."""
 
 
 @dataclass(frozen=True)
 class LoopLag:
-    """How late both axes are behind the command.
+    """Lag of both axes behind the command.
 
     Attributes:
-        circles: the tests at the angles where the machine was.
-        time_s: lag that is taken; 0 where the readings show none.
-        unsure_s: it may be so much more.
+        circles: the tests at the angles that the machine had reached.
+        time_s: lag; 0 where the readings show none.
+        unsure_s: the lag may be larger by up to this.
     """
 
     circles: tuple[CircleTest, ...]
@@ -59,13 +59,13 @@ class LoopLag:
 
 @dataclass(frozen=True)
 class PhaseChoice:
-    """How the servo phase goes from test to test.
+    """How the servo phase depends on the test.
 
     Attributes:
         circles: the tests, each with its `phase_rate`.
-        taken: as one angle or one time.
-        reason: in words; empty where the two are one, or both are fitted.
-        other: the tests as the other one, where the readings do not tell.
+        taken: "angle" or "time", the one that is the same in all tests.
+        reason: in words; empty where both are the same or both are fitted.
+        other: the tests with the other choice, where the readings do not decide.
     """
 
     circles: tuple[CircleTest, ...]
@@ -75,7 +75,7 @@ class PhaseChoice:
 
     @property
     def decided(self) -> bool:
-        """Do the readings tell, or was it asked for?"""
+        """Whether the readings or the user decided."""
         return not self.other
 
 
@@ -100,10 +100,10 @@ def servo_phase(
 
     Args:
         circles: tests of one plane.
-        phase: which, or "auto".
-        guides: which of [BB]'s models the guides may follow, the most general one last: False straight, True bent.
+        phase: "angle", "time" or "auto".
+        guides: models of the guides that are possible, the most general one last: False straight, True bent.
         window_deg, centre: see `fit`.
-        dynamic: a delay that separates from the phase is fitted beside it.
+        dynamic: fit a delay beside the phase where the tests separate them.
     """
     kinds = {"angle": tuple(circles), "time": by_time(circles)}
     if all(abs(c.phase_rate - 1.0) <= SAME_SPEED for c in kinds["time"]):
@@ -115,7 +115,7 @@ def servo_phase(
     fits = {k: [fit(of, bent=bent, window_deg=window_deg, centre=centre) for bent in guides] for k, of in kinds.items()}
     least = min((f for of in fits.values() for f in of), key=lambda f: f.sigma_um)
     count = max(least.used / least.correlation, 2.0)
-    # A twist makes what the difference of angle and time makes: the most general guides are what has to tell.
+    # A twist gives the same readings as the difference of angle and time: the most general guides decide.
     general = _cost(fits["time"][-1], count) - _cost(fits["angle"][-1], count)
     any_ = min(_cost(f, count) for f in fits["time"]) - min(_cost(f, count) for f in fits["angle"])
     taken: Kind = "time" if (general if abs(general) > SURE else any_) < -SURE else "angle"
@@ -131,7 +131,7 @@ def servo_phase(
 
 
 def loop_lag(circles: Sequence[CircleTest], still: Fitted, window_deg: float, centre: Centre) -> LoopLag:
-    """How late the axes are, from the gain errors of their loops.
+    """Lag of the axes, from the gain errors of their loops.
 
     Args:
         circles: tests of one plane.
@@ -171,11 +171,11 @@ def _gains(
         return None
     solved = solve(design, kept, np.concatenate([c.reading_um for c in used]), used, WHITE)
     at = [kept.index(i) for i in places]
-    return (float(solved.found[at[0]]), float(solved.found[at[1]])), solved.errors[at]
+    return (float(solved.coefficients[at[0]]), float(solved.coefficients[at[1]])), solved.errors[at]
 
 
 def either(one: Fitted, other: Fitted) -> Fitted:
-    """The fit of the answer that was taken; intervals and standard errors hold the other one, too."""
+    """The first of two fits, with intervals and standard errors that include the other one."""
     known = {v.name: v for v in (*other.values, *other.combinations)}
     values = tuple(_either(v, known.get(v.name, v)) for v in one.values)
     combinations = tuple(_either(v, known.get(v.name, v)) for v in one.combinations)
@@ -183,7 +183,7 @@ def either(one: Fitted, other: Fitted) -> Fitted:
 
 
 def shifts(angle: Fitted, time: Fitted) -> tuple[Shift, ...]:
-    """Parameters that depend on which of them the phase is."""
+    """Parameters that differ between the two choices."""
     pairs = zip(angle.values, time.values, strict=True)
     return tuple(Shift(a, b.value) for a, b in pairs if a.name != "phase" and abs(b.value - a.value) > a.se)
 
@@ -194,7 +194,7 @@ def _either(one: FittedValue, two: FittedValue) -> FittedValue:
 
 
 def by_time(circles: Sequence[CircleTest]) -> tuple[CircleTest, ...]:
-    """The tests with the servo phase as one time."""
+    """The tests with the servo phase as one time: `phase_rate` is the ratio of angular speeds."""
     return tuple(replace(c, phase_rate=c.omega_rad_s / circles[0].omega_rad_s) for c in circles)
 
 
@@ -202,10 +202,10 @@ def _delay_separates(circles: Sequence[CircleTest], centre: Centre) -> bool:
     design = design_of(circles, bent=True, centre=centre)
     known = design.columns[:, list(design.by_readings.kept)]
     delay = next(c for c in candidates(circles) if c.name == "delay")
-    return share_left(known, stacked_design(delay.make(0.0), circles)) >= APART
+    return independent_share(known, stacked_design(delay.make(0.0), circles)) >= APART
 
 
 def _cost(fitted: Fitted, count: float) -> float:
-    """Schwarz' criterion for so many independent readings."""
+    """Schwarz' criterion (BIC) for `count` independent readings."""
     rank = fitted.rank.rank
     return count * 2.0 * float(np.log(max(fitted.sigma_um, NOISE_UM))) + rank * float(np.log(count))

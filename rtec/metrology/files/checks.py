@@ -1,4 +1,4 @@
-"""What the numbers of a table must obey; every fault by row, every acceptance told."""
+"""Checks of a table's numbers; reports every fault by row, and notes everything that the user accepts."""
 
 import itertools
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.table import Bools, Floats, Raw
 from rtec.metrology.files.toml import Leniency
 
-# What loggers write where a sensor is broken. They matter only outside a sensor's own range.
+# Values that loggers write for a broken sensor. They are faults only outside the sensor's own range.
 TEMPERATURE_CODES: Mapping[float, str] = {
     -9999.0: "no value",
     -999.0: "no value",
@@ -45,7 +45,7 @@ TEMPERATURE_CODES: Mapping[float, str] = {
     32767.0: "the highest 16-bit number",
     65535.0: "the highest 16-bit number",
 }
-# What measuring programs write for a lost reading; no machine tool is 10 mm or 10 mrad wrong.
+# Values that measuring programs write for a lost reading; no machine tool has an error of 10 mm or 10 mrad.
 READING_CODES = (9999.0, 9999.9, 99999.0, 99999.9, 999999.0, 9999999.0, -9999.0, -99999.0, -999999.0, -9999999.0)
 
 
@@ -55,9 +55,9 @@ class CheckedRows:
     Args:
         raw: its numbers.
         readings: names of the reading columns; NaN is allowed in these alone.
-        machine: whose sensors have ranges.
+        machine: its sensors have ranges.
         leniency: what the user accepts.
-        where: how the user says so, for messages.
+        where: how the user accepts it, for messages.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class CheckedRows:
         self.drop_way = f"leave such rows out: {where} drop_bad_rows = true"
 
     def checked(self) -> Raw:
-        """Examine all cells; tell faults, or leave out the bad rows where the user wishes so."""
+        """Check all cells; report faults, or drop the bad rows where the user accepts that."""
         self._missing_codes()
         ranges = {f"{s.name}_degc": s.range_degc for s in self.machine.sensors}
         for name in self.raw.columns:
@@ -91,7 +91,7 @@ class CheckedRows:
         return self.raw.rows(~self.bad)
 
     def _tell(self, name: str, kind: str, rows: Bools, text: str, way: str) -> None:
-        """Tell rows where `name` has a value that cannot be; `{}` in the text is the value."""
+        """Report rows where `name` has an impossible value; `{}` in the text is the value."""
         index = np.flatnonzero(rows & ~self.bad)
         values = self.raw.columns[name]
         self.bad |= rows
@@ -103,7 +103,7 @@ class CheckedRows:
         )
 
     def _missing_codes(self) -> None:
-        """Readings and temperatures alone: 850 mm is a place, whatever a broken Pt100 shows."""
+        """Refuse missing-value codes, in readings and temperatures only: 850 is a valid position in mm."""
         coded = [n for n in self.raw.columns if n in self.readings or n.endswith("_degc")]
         for code in self.leniency.missing_codes:
             if isinstance(code, str):
@@ -141,7 +141,7 @@ class CheckedRows:
         self._hold(name)
 
     def _hold(self, name: str) -> None:
-        """Fill gaps of a temperature with its last good value, where the user wishes so."""
+        """Fill gaps of a temperature with its last good value, where the user accepts that."""
         limit, time_s = self.leniency.hold_temperature_s, self.raw.columns.get("time_s")
         values = self.raw.columns[name]
         gaps = np.isnan(values) & ~self.bad
@@ -186,7 +186,7 @@ class CheckedRows:
 
 
 def check_order(raw: Raw, faults: Faults) -> None:
-    """Tell time that falls, and runs that come back after another one."""
+    """Report time that falls, and runs that are interrupted by another one."""
     raw = raw.rows(np.isfinite(raw.columns["run"]) & np.isfinite(raw.columns["time_s"]))
     run, time_s = raw.columns["run"], raw.columns["time_s"]
     starts = np.flatnonzero(np.diff(run, prepend=np.nan) != 0)
@@ -215,7 +215,7 @@ def check_order(raw: Raw, faults: Faults) -> None:
 
 
 def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:
-    """What is allowed and still worth knowing."""
+    """Notes on properties of the table that are allowed but unusual."""
     out = []
     for name in readings:
         lost = np.isnan(raw.columns[name])
@@ -234,7 +234,7 @@ def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:
 
 
 def _same_runs(raw: Raw, readings: tuple[str, ...]) -> list[str]:
-    """Runs that repeat another one to the last digit: the same recording twice?"""
+    """Notes on runs that repeat another one to the last digit, as if recorded twice."""
     run = raw.columns["run"]
     bounds = [*np.flatnonzero(np.diff(run, prepend=np.nan) != 0), len(run)]
     seen: dict[bytes, float] = {}
@@ -242,7 +242,7 @@ def _same_runs(raw: Raw, readings: tuple[str, ...]) -> list[str]:
     for low, high in itertools.pairwise(bounds):
         values: list[Floats] = [raw.columns[name][low:high] for name in readings]
         content = b"".join(v.tobytes() for v in values)
-        # A handful of equal readings is what a good, coarse instrument gives.
+        # A few equal readings are normal for a good instrument with a coarse resolution.
         if high - low >= 5 and any(np.ptp(v) > 0 for v in values):
             if content in seen:
                 out.append(f"run {run[low]:.0f} has the readings of run {seen[content]:.0f} to the last digit")

@@ -1,6 +1,6 @@
-"""The columns that a measurement file may have, and what is wrong with those that it may not.
+"""The columns that a measurement file may have, and the faults of others.
 
-In a ball-bar table angles become positions, and what the circle says about the axes becomes channels.
+In a ball-bar table angles give positions, and the circle gives directions, velocities and accelerations.
 """
 
 import difflib
@@ -28,7 +28,7 @@ def check_columns(
     """Sort the columns of a file.
 
     Returns:
-        Names to read, in the order of the file, and notes on what is not read.
+        Names to read, in the order of the file, and notes on columns that are not read.
     """
     allowed = {"run", "time_s", *instrument.columns(), *machine.columns}
     wished = set(ignored)
@@ -59,7 +59,7 @@ def _missing(
     }
     needed = ["run", "time_s", *instrument.columns()]
     followed = next((a.channel for a in machine.axes if a.name == instrument.axis), None)
-    # An instrument that may name an axis (a drift probe) need not follow it; that axis may stand still.
+    # An instrument that may name an axis (a drift probe) need not follow it; that axis may be at rest.
     if followed is not None and instrument.axis_use == "required":
         needed.append(f"{followed}_mm")
         ways[needed[-1]] = f"the {instrument.name} follows axis {instrument.axis}; give its commanded position in mm"
@@ -76,7 +76,7 @@ def _near(name: str, names: Iterable[str]) -> str:
 
 
 def _unknown(name: str, allowed: set[str], machine: Machine, instrument: Instrument) -> str:
-    """Say why a column is wrong; empty for one that is somebody's own business and is left unread."""
+    """Why a column is wrong; empty for a column of the user's own, which is ignored."""
     if not name.strip():
         return "a column has no name"
     same = {a.lower(): a for a in allowed}
@@ -98,12 +98,12 @@ def _unknown(name: str, allowed: set[str], machine: Machine, instrument: Instrum
 
 
 def _is_motion(name: str) -> bool:
-    """Is it named like a position, direction, speed or acceleration of an axis that the machine has not?"""
+    """Whether a name looks like position, direction, speed or acceleration of an axis that the machine lacks."""
     return bool(re.fullmatch(r"[a-z]_(mm|um|m|inch|nm)|dir_\w+|v\w{1,3}_mm_s|a\w{1,3}_mm_s2", name))
 
 
 def _wrong_unit(name: str, same: Mapping[str, str]) -> str:
-    """Say which unit is meant where only the ending of a known column's name is another."""
+    """The correct name where a name differs from a known column only by its unit."""
     endings = sorted(SUFFIXES, key=len, reverse=True)
     for right in same:
         ending = next((e for e in endings if right.endswith(e)), "")
@@ -126,10 +126,11 @@ OFF_CIRCLE_MM = 0.05
 def on_circle(
     instrument: Instrument, machine: Machine, channels: dict[str, Floats], run: Ints, where: str
 ) -> dict[str, Floats]:
-    """Add what is missing of positions, angles, directions, velocities and accelerations; others' are left alone.
+    """Add positions, angles, directions, velocities and accelerations that a ball-bar table lacks.
 
     Raises:
-        MeasurementError: a ball bar without angles and positions, off its circle, or against its direction.
+        MeasurementError: a ball bar has neither angles nor positions, leaves its circle, or moves against its
+            direction.
     """
     if not isinstance(instrument, BallBar):
         return channels
@@ -142,7 +143,7 @@ def on_circle(
 
 
 def still_right(instrument: Instrument, notes: Iterable[str]) -> list[str]:
-    """Notes on a table without those on missing positions, where the angles have given them."""
+    """Notes on a table, without those on missing positions where the angles gave them."""
     return [n for n in notes if not (isinstance(instrument, BallBar) and n.startswith("no column "))]
 
 

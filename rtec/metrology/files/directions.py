@@ -1,4 +1,4 @@
-"""How an axis moved where no column says so: from which side it came, and whether it was read on the run."""
+"""Motion of an axis without such a column: direction of approach, and velocity where it was read in motion."""
 
 import itertools
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from rtec.metrology.instruments.base import Instrument
 
 Floats = NDArray[np.float64]
 LIKE, MOST = 0.05, 0.8
-"""An axis went at its feed where its speed differs by less than the first share, in the second share of readings."""
+"""An axis moved at its feed if its speed agrees within the first share, in the second share of readings."""
 LEAST = 3
 """Fewest targets between two ends whose number of readings shows an order."""
 
@@ -20,12 +20,12 @@ LEAST = 3
 def on_the_run(
     instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], time_s: Floats
 ) -> dict[str, Floats]:
-    """Velocity of an axis whose positions and times say that it went at its feed while it was read, by channel.
+    """Velocity, by channel, of an axis that was read in motion: its positions and times agree with its feed.
 
-    An axis that stops at its targets takes longer from one to the next than its feed would.
+    An axis that stops at its targets takes longer from one to the next than at its feed.
 
     Returns:
-        mm/s with the sign of the motion, (n,); nothing where the feed was not recorded, or a velocity was.
+        mm/s with the sign of the motion, (n,); empty where the feed was not recorded or a velocity was.
     """
     moving = _moving(machine, channels)
     if not instrument.at_rest or "feed_mm_min" not in channels or len(moving) != 1:
@@ -35,7 +35,7 @@ def on_the_run(
     feed = np.abs(channels["feed_mm_min"])
     position = channels[moving[0].channel]
     way = np.sign(np.diff(position))
-    # Ways: readings in a row that go to one side at one feed. What comes before the first of them may have been a rest.
+    # Ways: consecutive readings in one direction at one feed. The axis may have been at rest before the first of them.
     new = np.concatenate([[True], (way[1:] != way[:-1]) | (feed[2:] != feed[1:-1]), [False]])
     out, like = np.zeros(len(feed)), 0
     edges = [*np.flatnonzero(new).tolist(), len(feed) - 1]
@@ -54,15 +54,15 @@ def _moving(machine: Machine, channels: Mapping[str, Floats]) -> list[Axis]:
 
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
 def approached(instrument: Instrument, machine: Machine, channels: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Directions of approach of an instrument that reads targets at rest, by direction channel.
+    """Directions of approach for an instrument that reads targets at rest, by direction channel.
 
-    An axis that reads the target at the end of a way once more has gone past it and returned (ISO 230-2), and one that
-    jumps back to begin the same way again has gone past the first target. The positions alone show neither: by them the
-    axis has not moved, or moved the other way. This is so where each end is read exactly twice as often as a target
-    between them, or where every way goes to one side. Any other order says nothing, and gives nothing here.
+    Between two readings of the target at the end of a way the axis has gone past it and returned (ISO 230-2). An axis
+    that jumps back to repeat the same way has gone past the first target. The positions alone show neither: by them the
+    axis has not moved, or moved the other way. Both cases are recognised where each end is read exactly twice as often
+    as a target between them, or where every way has the same direction. Any other order gives no result.
 
     Returns:
-        -1 or +1 for each reading, (n,), of each such axis; none that has a direction or a velocity of its own.
+        -1 or +1 for each reading, (n,), of each such axis without a direction or a velocity of its own.
     """
     moving = _moving(machine, channels)
     if not instrument.at_rest or len(moving) != 1:
@@ -78,7 +78,7 @@ def _approach(axis: Axis, position_mm: Floats) -> Floats | None:
     first = np.flatnonzero(np.append(True, np.abs(np.diff(position_mm)) > axis.dead_band_mm))
     count = np.diff(np.append(first, len(position_mm)))
     way = np.sign(np.diff(position_mm[first]))
-    turns = np.flatnonzero(way[1:] != way[:-1]) + 1  # stops at which the axis turns round
+    turns = np.flatnonzero(way[1:] != way[:-1]) + 1  # stops at which the axis reverses
     between = np.setdiff1d(np.arange(1, len(first) - 1), turns)
     if len(between) < LEAST or len(set(count[between])) > 1:
         return None

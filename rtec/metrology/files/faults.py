@@ -1,4 +1,4 @@
-"""Faults of a table, gathered: each kind by row, with a way on; the first are shown, the rest counted."""
+"""Collected faults of a table: each kind by row, with a remedy; the first are shown, the rest is counted."""
 
 from array import array
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ KEPT = 20  # texts kept for each kind; the rest is only counted
 
 @dataclass
 class _Kind:
-    """Faults that differ only in their row; `droppable` where leaving the row out mends it."""
+    """Faults that differ only in their row; `droppable` if dropping the rows removes them."""
 
     way: str
     droppable: bool
@@ -24,11 +24,11 @@ class _Kind:
 
 
 class Faults:
-    """What is wrong with one file.
+    """The faults of one file.
 
     Args:
         source: name of the file, put before every message.
-        word: what a row is called there: "line" of a text file, "row" of a Parquet file.
+        word: word for a row: "line" of a text file, "row" of a Parquet file.
     """
 
     def __init__(self, source: str, word: str = "line") -> None:
@@ -41,11 +41,11 @@ class Faults:
         return len(self._whole) + sum(len(k.lines) for k in self._kinds.values())
 
     def whole(self, text: str) -> None:
-        """Tell a fault of the file, not of a row."""
+        """Add a fault of the whole file."""
         self._whole.append(text)
 
     def row(self, kind: str, line: int, text: str, way: str, *, droppable: bool = True) -> None:
-        """Tell a fault of one row; faults of one `kind` share a way on."""
+        """Add a fault of one row; faults of one `kind` have the same remedy `way`."""
         known = self._kinds.setdefault(kind, _Kind(way, droppable))
         known.lines.append(line)
         if len(known.texts) < KEPT:
@@ -60,7 +60,7 @@ class Faults:
         *,
         droppable: bool = True,
     ) -> None:
-        """Tell faults of many rows; `text` is asked, by place in `lines`, for the first ones only."""
+        """Add faults of many rows; `text` is called with the place in `lines`, for the first ones only."""
         if not len(lines):
             return
         known = self._kinds.setdefault(kind, _Kind(way, droppable))
@@ -68,14 +68,14 @@ class Faults:
         known.texts.extend(text(i) for i in range(min(len(lines), KEPT - len(known.texts))))
 
     def drop(self) -> list[str]:
-        """Forget the faults that leaving rows out mends; tell them as notes, one a kind."""
+        """Remove the faults that dropping rows removes; give them as notes, one a kind."""
         gone = {name: kind for name, kind in self._kinds.items() if kind.droppable}
         for name in gone:
             del self._kinds[name]
         return [f"row left out: {kind.texts[0]} ({self._places(kind.lines)})" for kind in gone.values()]
 
     def raise_if_any(self) -> None:
-        """Raise MeasurementError with all faults; do nothing where there are none."""
+        """Raise MeasurementError with all faults, if there are any."""
         if len(self):
             raise MeasurementError("\n".join(self.messages()))
 
@@ -84,14 +84,14 @@ class Faults:
         out = [f"{self.source}: {text}" for text in self._whole[:SHOWN]]
         room = max(SHOWN - len(out), 0)
         each = max(3, room // max(len(self._kinds), 1))
-        told: list[tuple[int, str]] = []
+        messages: list[tuple[int, str]] = []
         for kind in self._kinds.values():
-            told += self._told(kind, each)
-        out += [text for _, text in sorted(told)[:room]]
+            messages += self._messages_of(kind, each)
+        out += [text for _, text in sorted(messages)[:room]]
         more = len(self) - len(out)
         return [*out, f"{self.source}: and {more} more"] if more > 0 else out
 
-    def _told(self, kind: _Kind, each: int) -> list[tuple[int, str]]:
+    def _messages_of(self, kind: _Kind, each: int) -> list[tuple[int, str]]:
         out = []
         for i, (line, text) in enumerate(zip(kind.lines, kind.texts[:each], strict=False)):
             way = f"; {kind.way}" if i == 0 and kind.way else ""

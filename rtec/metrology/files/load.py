@@ -1,7 +1,7 @@
 """Measurement files: a CSV or Parquet table and a TOML of the same stem (form in `docs/measurements.md`).
 
-Nothing is mended in silence: what cannot be used is told by row with a way on, all faults at once; what the user
-accepts is written under `[table]` of the TOML, or given as options, and told again in the measurement's notes.
+Nothing is repaired silently: all faults are reported together, by row and with a remedy. What the user accepts is
+under `[table]` of the TOML, or given as options, and is listed in the measurement's notes.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ __all__ = ["Leniency", "load_measurement", "load_measurements", "save_measuremen
 def load_measurements(
     paths: Iterable[Path], machine: Machine, leniency: Leniency | None = None
 ) -> tuple[Measurement, ...]:
-    """Read several measurements; the faults of all of them are told together.
+    """Read several measurements; the faults of all of them are reported together.
 
     Raises:
         MeasurementError: as `load_measurement`.
@@ -49,14 +49,14 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
 
     Args:
         path: table, TOML, or their common stem.
-        machine: that it was made on.
-        leniency: what is accepted, beside what the TOML accepts.
+        machine: the measured machine.
+        leniency: what the user accepts, in addition to the TOML.
 
     Returns:
         The measurement; `sha256` is that of the table's bytes followed by those of the TOML.
 
     Raises:
-        MeasurementError: all faults of the table, by row, each with a way on (the first 20; the rest is counted).
+        MeasurementError: the table has faults: all by row, each with a remedy (the first 20; the rest is counted).
     """
     from rtec.metrology.instruments.registry import make_instrument
 

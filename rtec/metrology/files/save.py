@@ -22,13 +22,13 @@ def save_measurement(measurement: Measurement, path: Path) -> Path:
 
     Args:
         measurement: what to write.
-        path: NAME.csv or NAME.parquet; the TOML goes beside it.
+        path: NAME.csv or NAME.parquet; the TOML is written beside it.
 
     Returns:
         Path of the table.
 
     Raises:
-        MeasurementError: a channel has no column, a value cannot be written, or the folder cannot be.
+        MeasurementError: a channel has no column, a value cannot be written, or the folder cannot be created.
     """
     if path.suffix not in TABLES:
         raise MeasurementError(f"{path}: a measurement is written as NAME.csv or NAME.parquet")
@@ -61,11 +61,11 @@ def write_files(
     """Write a table and the TOML beside it; each appears whole or not at all.
 
     Args:
-        path: of the table; its end says of which kind.
+        path: path of the table; its suffix decides the format.
         columns: (n,) each; NaN becomes an empty cell.
-        head: `[measurement]`; None is left out.
+        head: `[measurement]`; values that are None are omitted.
         setup: `[setup]`.
-        accepted: `[table]`; None is left out.
+        accepted: `[table]`; omitted where None.
     """
     for name, values in columns.items():
         if np.isinf(values).any():

@@ -1,7 +1,7 @@
-"""Numbers out of CSV and Parquet. The quick reader takes what is plain; the exact one says what is wrong and where.
+"""Numbers from CSV and Parquet. The quick reader reads plain files; the exact one reports every fault with its place.
 
-The text itself is looked over first, in one pass: hash, encoding, byte order mark, length of its lines; nothing is
-guessed that could be wrong.
+The text is checked first, in one pass: hash, encoding, byte order mark, length of its lines. No guess is made that
+could be wrong.
 """
 
 import codecs
@@ -27,13 +27,13 @@ from rtec.metrology.files.toml import Leniency
 
 NANS = ("nan", "NaN", "NAN", "-nan", "-NaN")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-# Of these letters `float` makes what `NUMBER` allows, or nothing.
+# `float` reads texts of these letters only where `NUMBER` allows them.
 PLAIN_ROW = re.compile(r"[0-9eE.+-]*", re.ASCII)
 INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
 
 
 class Cells:
-    """Turns cells into numbers and tells those that are none."""
+    """Converts cells to numbers and reports those that are none."""
 
     def __init__(self, leniency: Leniency, faults: Faults, where: str) -> None:
         self.decimal = leniency.decimal
@@ -50,7 +50,7 @@ class Cells:
         places_of: Sequence[tuple[str, int]],
         values: dict[str, "array[float]"],
     ) -> bool:
-        """Append one row to `values`; is it bad?"""
+        """Append one row to `values`; give whether it has a fault."""
         if len(row) != width:
             for column in values.values():
                 column.append(math.nan)
@@ -79,7 +79,7 @@ class Cells:
         text = cell.strip()
         if text in self.empty:
             return math.nan, None
-        # "1.234" among decimal commas may be a thousand or one and a bit: it is not read at all.
+        # "1.234" among decimal commas is ambiguous, 1234 or 1.234: it is refused.
         dotted = text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
         if NUMBER.fullmatch(dotted):
             return float(dotted), None
@@ -117,7 +117,7 @@ class Cells:
 BLOCK = 1 << 20
 LONGEST_LINE: Final = 1 << 20
 EXPANSION: Final = 12
-"""Bytes of memory that a byte of a table takes while it is read."""
+"""Bytes of memory per byte of a table while it is read."""
 # The longer marks first: that of UTF-32 begins like that of UTF-16.
 MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -130,12 +130,12 @@ MARKS = (
 
 @dataclass(frozen=True)
 class Text:
-    """A text file, looked over once.
+    """A text file that has been checked.
 
     Attributes:
         encoding: Python's name; a byte order mark is part of it.
         digest: running SHA-256 over its bytes.
-        notes: what to tell about the encoding.
+        notes: notes on the encoding.
     """
 
     encoding: str
@@ -144,17 +144,17 @@ class Text:
 
 
 def look_over(path: Path, declared: str | None, where: str, *, text: bool = True) -> Text:
-    """Hash a file and make sure that all of it can be decoded, in one pass.
+    """Hash a file and check that all of it can be decoded, in one pass.
 
     Args:
         path: the file.
         declared: encoding that the user gave.
         where: how the user gives one, for messages.
-        text: has it lines? None of them may be longer than `LONGEST_LINE`.
+        text: whether it has lines; none of them may be longer than `LONGEST_LINE`.
 
     Raises:
-        MeasurementError: cannot be read, is larger than memory holds, or is not text in that encoding; names line and
-            byte.
+        MeasurementError: the file cannot be read, is larger than the memory, or is not text in that encoding; the
+            message has line and byte.
     """
     try:
         with path.open("rb") as file:
@@ -217,7 +217,7 @@ def _undecodable(e: UnicodeDecodeError, at: int, lines: int, path: Path, encodin
     line = lines + data[: e.start].count(b"\n") + 1
     start = data.rfind(b"\n", 0, e.start) + 1
     text = data[start : e.start + 12].split(b"\n")[0].decode("latin-1")
-    # What Windows programs write for ° and µ; the rest of that range is text in another alphabet.
+    # Bytes that Windows programs write for ° and µ; the rest of that range is text in another alphabet.
     likely = "latin-1" if data[e.start] >= 0xA0 else "cp1252"
     other = f"; if it is {likely}, say so: {where} encoding = {likely!r}" if encoding.startswith("utf-8") else ""
     return (
@@ -237,10 +237,10 @@ class Raw:
 
     Attributes:
         columns: (n,) each; NaN where a cell is empty or wrong.
-        numbers: where each row stands in the file, (n,).
+        numbers: line or row number of each row in the file, (n,).
         word: "line" or "row".
-        bad: rows with a cell that was told as a fault, (n,).
-        notes: what to tell about the rows.
+        bad: rows with a cell that was reported as a fault, (n,).
+        notes: notes on the rows.
     """
 
     columns: dict[str, Floats]
@@ -253,7 +253,7 @@ class Raw:
         return len(self.numbers)
 
     def rows(self, keep: Bools) -> "Raw":
-        """Only these rows."""
+        """The columns with only these rows, (n,)."""
         if keep.all():
             return self
         columns = {n: v[keep] for n, v in self.columns.items()}
@@ -264,7 +264,7 @@ def header_of(path: Path, text: Text, leniency: Leniency, where: str) -> list[st
     """Give the names in the first line.
 
     Raises:
-        MeasurementError: there is none, or it is divided by something else than said.
+        MeasurementError: there is no header, or its delimiter is another one than stated.
     """
     with path.open(encoding=text.encoding, newline=None) as file:
         try:
@@ -291,7 +291,7 @@ def _toml(text: str) -> str:
 def read_csv(
     path: Path, text: Text, leniency: Leniency, names: Sequence[str], used: Sequence[str], faults: Faults, where: str
 ) -> Raw:
-    """Give the used columns of a CSV file whose first line is `names`."""
+    """The used columns of a CSV file whose first line is `names`."""
     columns = _quick(path, text, leniency, names, used)
     if columns is None:
         return _exact(path, text, leniency, names, used, faults, where)
@@ -302,7 +302,7 @@ def read_csv(
 def _quick(
     path: Path, text: Text, leniency: Leniency, names: Sequence[str], used: Sequence[str]
 ) -> dict[str, Floats] | None:
-    """Arrow's reader, block by block; None where anything at all is out of the ordinary."""
+    """Arrow's reader, block by block; None where anything is unusual."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -331,7 +331,7 @@ def _quick(
     except (pa.ArrowException, ValueError, OSError):
         return None
     columns = {name: np.concatenate([np.empty(0), *parts.pop(name)]) for name in used}
-    # A blank line comes out as a row without anything; it is none.
+    # Arrow reads a blank line as an empty row; it does not count.
     return None if np.logical_and.reduce([np.isnan(v) for v in columns.values()]).any() else columns
 
 
@@ -358,7 +358,7 @@ def _of_chunk(column: Any) -> Floats:
 def _exact(
     path: Path, text: Text, leniency: Leniency, names: Sequence[str], used: Sequence[str], faults: Faults, where: str
 ) -> Raw:
-    """Cell by cell; slower, and knows the line of everything."""
+    """Reads cell by cell: slower, but reports each fault with its line."""
     places_of = [(name, names.index(name)) for name in used]
     values = {name: array("d") for name in used}
     numbers, bad, blank = array("q"), array("b"), array("q")
@@ -383,7 +383,7 @@ def _exact(
 
 
 def parquet_names(path: Path) -> list[str]:
-    """Column names of a Parquet file; MeasurementError where it is none."""
+    """Column names of a Parquet file; MeasurementError where the file is not Parquet."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -395,7 +395,7 @@ def parquet_names(path: Path) -> list[str]:
 
 
 def read_parquet(path: Path, used: Sequence[str], faults: Faults) -> Raw:
-    """Give the used columns of a Parquet file."""
+    """The used columns of a Parquet file."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -413,7 +413,7 @@ def read_parquet(path: Path, used: Sequence[str], faults: Faults) -> Raw:
 
 
 def _numeric(schema: Any, used: Sequence[str], faults: Faults) -> list[str]:
-    """Those of the columns that hold numbers; the others are faults, and not read."""
+    """The columns that hold numbers; others are reported as faults and not read."""
     from pyarrow import types
 
     out = []

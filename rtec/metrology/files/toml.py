@@ -13,7 +13,7 @@ TABLES = (".csv", ".parquet")
 
 
 class Leniency(Strict):
-    """What the user accepts about a table, on purpose; all of it is told again in the measurement's notes.
+    """What the user accepts about a table, on purpose; the measurement's notes list all of it.
 
     Attributes:
         encoding: of the text, where it is not UTF-8.
@@ -44,7 +44,7 @@ class Leniency(Strict):
         return self
 
     def with_(self, other: "Leniency | None") -> "Leniency":
-        """What `other` sets wins; the rest stays."""
+        """These settings, overridden by what `other` sets."""
         given = other.model_dump(exclude_unset=True) if other else {}
         return validated(Leniency, self.model_dump(exclude_unset=True) | given, "options", MeasurementError)
 
@@ -95,7 +95,7 @@ def read_measurement_toml(path: Path, machine: str, table: Path) -> MeasurementF
     """Read the TOML beside `table`.
 
     Raises:
-        MeasurementError: what is wrong, or how to write one.
+        MeasurementError: the file is missing or wrong; the message says how to write one.
     """
     if not path.exists():
         raise MeasurementError(MISSING.format(toml=path, machine=machine, name=table))
@@ -109,12 +109,12 @@ def read_measurement_toml(path: Path, machine: str, table: Path) -> MeasurementF
 
 
 def find_files(path: Path) -> tuple[Path, Path]:
-    """Give table and TOML of a measurement from the path of either, or from their common stem.
+    """Table and TOML of a measurement from the path of either, or from their common stem.
 
     Raises:
         MeasurementError: there is no table, or there are two.
     """
-    # `with_suffix` would take the end off a stem like `laser-1.5`.
+    # `with_suffix` would remove the end of a stem like `laser-1.5`.
     stem = path.with_suffix("") if path.suffix in (*TABLES, ".toml") else path
     tables = [found for s in TABLES if (found := stem.with_name(stem.name + s)).is_file()] if stem.name else []
     if path.suffix in TABLES:

@@ -1,9 +1,9 @@
 """Comparing paths on a grid plate: set-ups (roll [XT 3], cross-talk [XT 4]), directions [XT 5], feeds.
 
-What differs between two paths of one set-up is free of the plate: zero, turn and its own errors are the same in both.
-Between set-ups the plate was laid down anew, so only squareness is compared, which its turn does not enter.
+A difference between two paths of one set-up is free of the plate's zero, rotation and own errors, which are the same in
+both. Between set-ups the plate was moved, so that only squareness is compared, which does not depend on its rotation.
 
-An item's `chance` is that of noise alone; `certain` asks all questions of a list together.
+An item's `chance` is its false-positive rate; `certain` corrects for all items of a list together.
 """
 
 from collections.abc import Sequence
@@ -28,23 +28,23 @@ from rtec.metrology.instruments.ball_bar import axis_along
 
 SURE = 0.02
 BESIDE = 0.05
-"""A plate that is moved along one direction is off by less than this share of the way in the others."""
+"""A plate counts as moved along one direction if it moved in the others by less than this share."""
 SAME_PART_MM = 2.0
-"""A plate's own error changes slowly: edges nearer than this run over the same part of it."""
+"""Edges nearer than this cross the same part of the plate, as its own error changes slowly."""
 
 
 def certain(items: Sequence[Item]) -> tuple[Item, ...]:
-    """Items that noise alone would not give: a whole list is wrong about once in fifty times."""
-    asked = [i for i in items if np.isfinite(i.chance)]
-    return tuple(i for i in asked if i.chance < SURE / len(asked))
+    """Significant items; the false-positive rate of a whole list is about 1 in 50."""
+    tested = [i for i in items if np.isfinite(i.chance)]
+    return tuple(i for i in tested if i.chance < SURE / len(tested))
 
 
 def places(one: GridSetup, other: GridSetup) -> tuple[Item, ...]:
-    """What a move of the plate from one place to another shows, first minus second.
+    """Differences between two places of the plate, first minus second.
 
-    Moved along the normal: the turn of that axis about its own direction (roll). Moved in the plane: the turn of the
-    moved axis where the chain gives it an arm on the other one (rigid body), else how the other axis' turn depends on
-    where the moved one stands (cross-talk). Straightness of the moved axis between the two places enters, too.
+    Moved along the normal: rotation of that axis about its own direction (roll). Moved in the plane: rotation of the
+    moved axis where the chain gives it an arm on the other one (rigid body); else how the other axis' rotation depends
+    on the position of the moved one (cross-talk). The moved axis' straightness between the two places is included.
     """
     squares = [squareness_of(s) for s in (one, other)]
     moved = moved_along(one, other)
@@ -61,14 +61,14 @@ def places(one: GridSetup, other: GridSetup) -> tuple[Item, ...]:
 
 
 def moved_along(one: GridSetup, other: GridSetup) -> tuple[str, ...]:
-    """Directions in which the plate was moved; by how much a hand misses the others by does not count."""
+    """Directions in which the plate was moved; small unintended moves in the others do not count."""
     apart = {d: abs(x - y) for d, x, y in zip("XYZ", one.setup.origin_mm, other.setup.origin_mm, strict=True)}
     least = max(SAME_MM, BESIDE * max(apart.values()))
     return tuple(d for d, way in apart.items() if way > least)
 
 
 def not_compared(setups: Sequence[GridSetup]) -> tuple[str, ...]:
-    """Pairs of set-ups in one plane that no comparison is made of, and why, in words."""
+    """Pairs of set-ups in one plane that are not compared, and why, in words."""
     out = []
     for i, one in enumerate(setups):
         for other in setups[i + 1 :]:
@@ -81,7 +81,7 @@ def not_compared(setups: Sequence[GridSetup]) -> tuple[str, ...]:
 
 
 def _same_plate(one: GridSetup, other: GridSetup) -> bool:
-    """Is the same part of the same plate run over? Its own error is then in both."""
+    """Whether both cross the same part of the same plate: then both contain its own error."""
     if not one.setup.plate or one.setup.plate != other.setup.plate:
         return False
     spans = []
@@ -94,7 +94,7 @@ def _same_plate(one: GridSetup, other: GridSetup) -> bool:
 
 
 def directions(setup: GridSetup) -> tuple[Item, ...]:
-    """What differs between the two directions of motion: turn [XT 5] from Ls, straightness and reversal from lines."""
+    """Differences between the directions of motion: rotation [XT 5] from Ls, straightness and reversal from lines."""
     out = []
     for along in (0, 1):
         both = _two_ways(setup, along)
@@ -105,7 +105,7 @@ def directions(setup: GridSetup) -> tuple[Item, ...]:
 
 
 def feeds(setup: GridSetup, slow_mm_min: float | None = None, fast_mm_min: float | None = None) -> tuple[Item, ...]:
-    """What differs between two feeds, fast minus slow; by default the fastest and the slowest that were run."""
+    """Differences between two feeds, fast minus slow; by default the fastest and the slowest feed."""
     known = sorted({round(e.feed_mm_min, 6) for e in setup.edges if np.isfinite(e.feed_mm_min)})
     slow, fast = slow_mm_min or (known[0] if known else 0.0), fast_mm_min or (known[-1] if known else 0.0)
     if same_feed(slow, fast):
@@ -127,7 +127,7 @@ def feeds(setup: GridSetup, slow_mm_min: float | None = None, fast_mm_min: float
 
 
 def _named(setup: GridSetup, moved: str) -> tuple[str, str, float, bool]:
-    """What a difference of squareness is: name, sentence, the squareness that one unit of it makes, and is it rigid?"""
+    """The cause of a squareness difference: name, sentence, squareness per unit, and whether it is rigid."""
     lean = setup.lean
     if moved == lean.normal:
         axis = getattr(axis_along(setup.machine, moved), "name", moved)
@@ -155,7 +155,7 @@ def _named(setup: GridSetup, moved: str) -> tuple[str, str, float, bool]:
 
 
 def _square_of_turn(setup: GridSetup, axis: str) -> float:
-    """Squareness in the plane for one unit of an axis' turn about the normal, from the machine's chain."""
+    """Squareness in the plane for one unit of an axis' rotation about the normal, from the machine's chain."""
     lean, chain = setup.lean, setup.machine.chain
     name = f"E{lean.turn}{axis}"
     if name not in chain.components:
@@ -168,12 +168,12 @@ def _square_of_turn(setup: GridSetup, axis: str) -> float:
 
 
 def _two_ways(setup: GridSetup, along: int) -> tuple[list[Edge], list[Edge]] | None:
-    """Pieces of the same place, feed and length run both ways: first the positive ones."""
+    """Pieces with the same place, feed and length in both directions: positive ones, negative ones."""
     here = [e for e in setup.edges if e.along == along]
     for edge in here:
         alike = [e for e in here if _same_line(e, edge)]
         plus, minus = ([e for e in alike if e.way == w] for w in (1, -1))
-        # Straight lines first: those of a square have the other axis' corners at their ends.
+        # Single lines first: the sides of a square have the other axis' corners at their ends.
         if plus and minus and not any(e.came for e in alike):
             return plus, minus
     for edge in here:
@@ -213,10 +213,10 @@ def _way_items(setup: GridSetup, along: int, plus: list[Edge], minus: list[Edge]
 
 
 def _turned_by_coming(setup: GridSetup, along: int) -> list[Item]:
-    """[XT 5]: an L from both sides. The line after the corner leans by how the axis before it came to its place.
+    """[XT 5]: an L from both sides. The slope of the line after the corner depends on the approach before it.
 
-    The plate lies still, so the two lines are compared with each other; [XT] aligns both by the lines before the
-    corner, which takes the turn out again where those turn along (a table-side axis does that).
+    The plate does not move, so that the two lines are compared directly. [XT] aligns both by the lines before the
+    corner, which removes the rotation where those lines rotate, too (with a table-side axis).
     """
     after = [e for e in setup.edges if e.along == along and e.came != 0]
     for edge in after:
@@ -251,7 +251,7 @@ def _feed_items(setup: GridSetup, along: int, fast: list[Edge], slow: list[Edge]
 
 
 def _chance(value: float, se: float) -> float:
-    """How often noise alone would give as much, either way."""
+    """Probability that noise alone gives as much, of either sign."""
     from scipy.special import erfc
 
     return float(erfc(abs(value) / max(se, 1e-15) / np.sqrt(2.0)))

@@ -1,4 +1,4 @@
-"""Grid-encoder set-ups as one result: each by itself, and compared."""
+"""Evaluation of grid-encoder set-ups: each alone, and their comparisons."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,7 +14,7 @@ from rtec.result import Result
 
 @dataclass(frozen=True)
 class GridComparison:
-    """A heading, what was compared, and the items."""
+    """One comparison: heading, what was compared, and the items."""
 
     heading: str
     items: tuple[Item, ...]
@@ -22,13 +22,13 @@ class GridComparison:
 
 @dataclass(frozen=True)
 class GridEvaluation(Result):
-    """Everything about some set-ups.
+    """Result of the evaluation of some set-ups.
 
     Attributes:
-        setups: each by itself.
+        setups: the set-ups, each with its own report.
         comparisons: between directions, feeds, and set-ups.
-        found: items that noise alone would hardly give.
-        magnification: of the figures; None: a round one for each.
+        found: significant items.
+        magnification: magnification of the figures; None: a round number for each.
     """
 
     page_maker: ClassVar[str] = "rtec.report.grid:grid_page"
@@ -54,7 +54,7 @@ class GridEvaluation(Result):
         }  # fmt: skip
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Every error of each set-up, then every difference, with whether it is more than noise."""
+        """Every error of each set-up, then every difference, each with its significance."""
         own = [{"of": s.name, **asdict(i), "certain": None} for s in self.setups for i in s.items]
         compared = [(c.heading, i) for c in self.comparisons for i in c.items]
         return own + [{"of": heading, **asdict(i), "certain": i in self.found} for heading, i in compared]

@@ -1,9 +1,8 @@
 """Straight pieces of a path on a grid plate, each with the smooth curves of its two readings.
 
-The pieces are found in positions that may be rounded, jitter, or lie closer than either. Along its own length `u` from
--1 to +1 each reading is a sum of Legendre polynomials. All that is reported then is a plain number: twice the first
-coefficient is the deviation of the best-fit line over the piece, the higher ones are the straightness, and the standard
-errors follow from one matrix.
+The positions may be rounded, jitter, or be closer together than both. Along a piece, `u` from -1 to +1, each reading is
+a sum of Legendre polynomials. The reported numbers follow from the coefficients: twice the first one is the deviation
+of the best-fit line over the piece, the higher ones give the straightness, and one matrix gives the standard errors.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,16 +19,16 @@ from rtec.metrology.procedures.fitting import correlation_time
 Floats = NDArray[np.float64]
 EXACT_MM = 1e-6
 STEP_MM = 0.1
-"""Way between two looks at where a path goes: far above the rounding and the jitter of positions that were read off a
-display or an encoder, far below what is trimmed."""
+"""Distance between the points at which the direction of a path is determined: far above the rounding and jitter of a
+display or an encoder, far below the trimmed length."""
 STRAIGHT = 5.0
-"""So many times more way along one direction than along the other is straight along the first."""
+"""A path is straight along a direction if it moves this many times farther along it than along the other one."""
 
 
 def straight_pieces(place: Floats) -> Iterator[tuple[int, int, int, int]]:
-    """Direction, way, first and last row of each stretch along one direction, one way.
+    """Letter, direction of motion, first and last row of each straight piece with one direction of motion.
 
-    The path is looked at every `STEP_MM`, or at every reading where those are farther apart.
+    The path is sampled every `STEP_MM`, or at every reading where those are farther apart.
     """
     looks = _looks(place)
     if len(looks) < 2:
@@ -51,7 +50,7 @@ def straight_pieces(place: Floats) -> Iterator[tuple[int, int, int, int]]:
 
 
 def _looks(place: Floats) -> NDArray[np.int64]:
-    """Rows at which the path has gone `STEP_MM` on from the row before in the list."""
+    """Rows that are `STEP_MM` along the path after the previous one in the list."""
     out = [0]
     first, second = (p.tolist() for p in place)
     for row, (u, v) in enumerate(zip(first, second, strict=True)):
@@ -62,7 +61,7 @@ def _looks(place: Floats) -> NDArray[np.int64]:
 
 
 def _to_corners(across: Floats, looks: NDArray[np.int64], first: int, last: int) -> tuple[int, int]:
-    """Rows where a piece between two looks begins and ends: on to the corner, which may lie between looks."""
+    """First and last row of a piece, extended to the corners, which may be between two samples."""
     begin, end = int(looks[first]), int(looks[last])
     beside = float(np.median(across[begin : end + 1]))
     lowest = int(looks[first - 1]) if first else 0
@@ -76,7 +75,7 @@ def _to_corners(across: Floats, looks: NDArray[np.int64], first: int, last: int)
 
 DEGREE = 5
 TRIM_MM = 2.0
-"""Left out at both ends: a corner is braking and swinging, not geometry."""
+"""Trimmed at both ends: braking and vibration at a corner are not geometry."""
 LEAST = 12
 SAME_MM = 0.5
 
@@ -102,7 +101,7 @@ class EdgeCurve:
         return float(self.coefficients[0]), float(np.sqrt(self.covariance[0, 0]))
 
     def at(self, u: Floats) -> Floats:
-        """Value at places -1 … +1."""
+        """Values, µm, at places -1 … +1."""
         return np.asarray(_legendre(u) @ self.coefficients, dtype=np.float64)
 
     @property
@@ -121,7 +120,7 @@ class EdgeCurve:
         return sign * float(curve[high] - curve[low]), float(np.sqrt(away @ self.covariance[2:, 2:] @ away))
 
     def chance(self, *orders: int) -> float:
-        """How often noise alone would make these coefficients as large (chi-squared)."""
+        """Probability that noise alone gives coefficients as large as these (chi-squared)."""
         from scipy.special import chdtrc
 
         c = self.coefficients[list(orders)]
@@ -131,18 +130,18 @@ class EdgeCurve:
 
 @dataclass(frozen=True)
 class Edge:
-    """One straight piece, always read from its low to its high end.
+    """One straight piece; its places rise from the low to the high end.
 
     Attributes:
         along: 0: along the plane's first letter, 1: the second.
         way: direction of motion, -1 or +1.
-        low_mm, high_mm: where it begins and ends.
-        beside_mm: where the other axis stands.
+        low_mm, high_mm: ends of the piece.
+        beside_mm: position of the other axis.
         came: direction of the other axis' last motion in the same run, 0 where there was none.
-        feed_mm_min: NaN where it is not recorded.
-        run: number.
+        feed_mm_min: feed; NaN where it is not recorded.
+        run: run number.
         place_mm, readings_um: raw, (n,) and (2, n): the plane's first and second reading.
-        curves: of the first and second reading.
+        curves: curves of the first and second reading.
     """
 
     along: int
@@ -159,7 +158,7 @@ class Edge:
 
     @property
     def length_mm(self) -> float:
-        """Travel."""
+        """Length of the piece."""
         return self.high_mm - self.low_mm
 
     @property
@@ -177,7 +176,7 @@ def edges_of(measurement: Measurement, trim_mm: float = TRIM_MM) -> tuple[Edge, 
     """Every straight piece along one of the plane's directions, in order of time.
 
     Raises:
-        MeasurementError: another instrument, positions missing, or no such piece.
+        MeasurementError: the instrument is not a grid encoder, positions are missing, or there is no such piece.
     """
     name, instrument = measurement.name, measurement.instrument
     if not isinstance(instrument, GridEncoder):
@@ -248,13 +247,13 @@ def _edge(
 
 
 def _curve(u: Floats, reading: Floats) -> EdgeCurve:
-    """Least squares, readings in the order of `u`."""
+    """Least-squares curve; the readings are in the order of `u`."""
     basis = _legendre(u)
     found = np.asarray(np.linalg.lstsq(basis, reading, rcond=None)[0], dtype=np.float64)
     left = reading - basis @ found
     free = max(len(u) - basis.shape[1], 1)
     power = float(left @ left) / free * correlation_time(left)
-    # A display that shows no noise at all still has some.
+    # Even constant readings have noise: that of the resolution.
     inverse = np.asarray(np.linalg.inv(basis.T @ basis), dtype=np.float64)
     return EdgeCurve(found, max(power, 1e-12) * inverse)
 

@@ -1,9 +1,9 @@
 """One set-up of a grid encoder: squareness, linear deviation, straightness and pitch as in [XT Table 4].
 
 Signs are those of `e = ε × p`. [XT 1] prints `-EB z` in e_x beside `-EB x` in e_z, which no rotation gives; here
-`e_x = +EB z`. For a plane with letters a, b and the rotation R about its normal, an axis along b leans by
+`e_x = +EB z`. For a plane with letters a, b and the rotation R about its normal, an axis along b is inclined by
 `σ_b · de_a/db`, one along a by `σ_a · de_b/da`, with `r × b = σ_b a` and `r × a = σ_a b`. The difference is the
-squareness `ER0b`; the plate's own turn is in both and falls out.
+squareness `ER0b`; the plate's own rotation is in both and cancels.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from rtec.metrology.measurement import Measurement
 
 COVERAGE = 2.0
 FEED = 0.02
-"""Feeds that differ by a smaller share are the same."""
+"""Feeds that differ by less than this share count as the same."""
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,15 @@ class Item:
     """One line of a report.
 
     Attributes:
-        name: component error, with what it depends on.
-        means: what it is, in a plain sentence.
+        name: component error, with its dependence.
+        means: explanation in a plain sentence.
         where: measured range.
         value: in `unit`.
-        unit: as people read it.
+        unit: in the spelling of reports.
         u: expanded uncertainty, coverage factor 2: repeatability of the readings, and the plate's own accuracy where
-            that does not fall out.
-        chance: how often noise alone would give as much; NaN where the question is not asked.
-        rigid: is it a component error of the rigid-body model [XT 4.1], or beyond that?
+            that does not cancel.
+        chance: probability that noise alone gives as much; NaN where it is not tested.
+        rigid: whether it is a component error of the rigid-body model [XT 4.1].
     """
 
     name: str
@@ -56,10 +56,10 @@ class Lean:
 
     Attributes:
         letters: its two directions.
-        normal: the third.
-        turn: letter of the rotation about it.
+        normal: the third direction.
+        turn: letter of the rotation about the normal.
         signs: σ_a, σ_b.
-        axes: names of the axes that make the two directions.
+        axes: names of the axes along the two directions.
     """
 
     letters: tuple[str, str]
@@ -87,7 +87,7 @@ def slowest(edges: Sequence[Edge]) -> float:
 
 
 def same_feed(one: float, other: float) -> bool:
-    """Are two feeds the same? Those that are not recorded are."""
+    """Whether two feeds are the same; feeds that are not recorded are."""
     return not (np.isfinite(one) and np.isfinite(other)) or abs(one - other) <= FEED * max(abs(one), abs(other))
 
 
@@ -99,12 +99,12 @@ class GridSetup:
     """A set-up with its straight pieces.
 
     Attributes:
-        name: of the measurement.
-        machine: that it was made on.
-        setup: of the instrument.
-        lean: names and signs.
-        edges: all of them.
-        corner_mm: where the report's edges meet.
+        name: name of the measurement.
+        machine: the measured machine.
+        setup: set-up of the instrument.
+        lean: names and signs of the plane.
+        edges: all straight pieces.
+        corner_mm: corner at which the report's edges meet.
         items: the report.
     """
 
@@ -123,12 +123,12 @@ def analyse(
     """Report on one set-up.
 
     Args:
-        measurement: of instrument grid_encoder.
-        corner_mm: edges that meet there are reported; by default where the first edge begins.
-        trim_mm: left out at both ends of every straight piece.
+        measurement: a measurement with instrument grid_encoder.
+        corner_mm: corner whose edges are reported; by default the start of the first edge.
+        trim_mm: length that is trimmed at both ends of every straight piece.
 
     Raises:
-        MeasurementError: another instrument, no straight pieces, or none at that corner.
+        MeasurementError: the instrument is not a grid encoder, or there is no straight piece, or none at that corner.
     """
     edges = edges_of(measurement, trim_mm)
     instrument = measurement.instrument
@@ -164,16 +164,17 @@ def at_corner(setup: GridSetup, along: int, feed_mm_min: float | None = None) ->
 
 
 def plate_um(setup: GridSetup) -> float:
-    """Standard uncertainty of a length on the plate, µm: its accuracy as a rectangle."""
+    """Standard uncertainty of a length on the plate, µm: its accuracy as a rectangular distribution."""
     return setup.setup.accuracy_um / float(np.sqrt(3.0))
 
 
 def angle_of(setup: GridSetup, along: int) -> tuple[float, float] | None:
-    """How much the axis of one direction turns about the normal over its travel, µrad, and its standard error.
+    """Rotation of the axis of one direction about the normal over its travel, µrad, and its standard error.
 
-    A turn by ε moves the place by `σ ε` times the distance along the other direction, which a square shows twice: the
-    axis goes further on one side than on the other, and the sides across it lean differently at its two ends. Both
-    are taken, weighed by their noise; where they disagree beyond it, half of that is added to the standard error.
+    A rotation by ε moves the place by `σ ε` times the distance along the other direction. A square shows it twice: the
+    axis travels further on one side than on the other, and the sides across it have different slopes at its two ends.
+    The result is the mean of both, weighted by their noise; where they differ by more than the noise, half of the
+    excess is added to the standard error.
     """
     ways = (angle_moving(setup, along, slowest(setup.edges)), _by_lean(setup, along, slowest(setup.edges)))
     found = [w for w in ways if w is not None]
@@ -187,9 +188,9 @@ def angle_of(setup: GridSetup, along: int) -> tuple[float, float] | None:
 
 
 def angle_moving(setup: GridSetup, along: int, feed: float) -> tuple[float, float] | None:
-    """As `angle_of`, from how far the axis goes on both sides of a square alone.
+    """As `angle_of`, from the travel on both sides of a square alone.
 
-    Of a turn that goes with the feed nothing else tells: on the sides across it this axis stands still.
+    Nothing else shows a rotation that depends on the feed: on the sides across it this axis is at rest.
     """
     here = _longest([e for e in setup.edges if e.along == along and same_feed(e.feed_mm_min, feed)])
     low, high = min((e.beside_mm for e in here), default=0.0), max((e.beside_mm for e in here), default=0.0)
@@ -202,7 +203,7 @@ def angle_moving(setup: GridSetup, along: int, feed: float) -> tuple[float, floa
 
 
 def _by_lean(setup: GridSetup, along: int, feed: float) -> tuple[float, float] | None:
-    """From how the sides across it lean at both ends of its travel."""
+    """As `angle_of`, from the slopes of the sides across it at both ends of its travel."""
     mine = _longest([e for e in setup.edges if e.along == along and same_feed(e.feed_mm_min, feed)])
     across = _longest([e for e in setup.edges if e.along != along and same_feed(e.feed_mm_min, feed)])
     if not mine:
@@ -269,9 +270,9 @@ def _edge_items(setup: GridSetup, along: int, letter: str, edges: Sequence[Edge]
 
 
 def arm_on(setup: GridSetup, along: int) -> float:
-    """How much a turn of this axis about the normal moves the place along it, per metre of the other axis' travel.
+    """Displacement along this axis for a unit rotation about the normal, per metre of the other axis' travel.
 
-    From the machine's chain; 0: the other axis does not lengthen the arm, so a rigid turn of this one shows nowhere.
+    From the machine's chain; 0 where the other axis is not part of the arm: then a rigid rotation does not show.
     """
     lean, chain = setup.lean, setup.machine.chain
     name = f"E{lean.turn}{lean.axes[along]}"
@@ -283,7 +284,7 @@ def arm_on(setup: GridSetup, along: int) -> float:
 
 
 def _slope(edges: Sequence[Edge], sign: float) -> tuple[float, float]:
-    """Direction of some edges, µrad, as a turn about the normal."""
+    """Slope of some edges, µrad, as a rotation about the normal, and its standard error."""
     line, se = mean_curve([e.across for e in edges]).line_um
     length_m = edges[0].length_mm * 1e-3
     return sign * line / length_m, se / length_m

@@ -1,4 +1,4 @@
-"""Turning tables of other programs into measurements by a column map, which is proposed from the file itself."""
+"""Turns tables of other programs into measurements by a column map, which rtec proposes from the file itself."""
 
 from rtec.metrology.importing.apply import Imported, import_measurement, import_table, import_to_files
 from rtec.metrology.importing.map import ImportMap, load_map

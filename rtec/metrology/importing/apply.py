@@ -1,4 +1,4 @@
-"""Applying a map: a table of another program becomes the columns of a measurement, and says what it did."""
+"""Applies a map: turns a table of another program into the columns of a measurement, with notes on every step."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,16 +29,16 @@ from rtec.tomlfile import nearest
 
 @dataclass(frozen=True)
 class Imported(Result):
-    """What came out of a table.
+    """The result of an import.
 
     Attributes:
-        columns: of the measurement, (n,) each, `run` and `time_s` first.
-        reader: that read the file.
-        rows_in, rows_out: rows of the file and of the measurement.
-        notes: everything that was done, in words.
-        measurement: what was read back and checked, where a machine was named.
-        table: the file that was written.
-        map: the file that a proposed map was written to.
+        columns: columns of the measurement, (n,) each, `run` and `time_s` first.
+        reader: name of the reader.
+        rows_in, rows_out: number of rows of the file and of the measurement.
+        notes: every step of the import, in words.
+        measurement: the measurement, read back and checked, where a machine was given.
+        table: path of the written table.
+        map: path of the written map, where it was proposed.
     """
 
     page_maker: ClassVar[str] = "rtec.report.measurement:imported_page"
@@ -53,7 +53,7 @@ class Imported(Result):
     map: Path | None = None
 
     def facts(self) -> dict[str, Any]:
-        """What was imported; keys as in the documented JSON."""
+        """The result as plain data; keys as in the documented JSON."""
         read = self.measurement
         return {
             "table": str(self.table) if self.table else None,
@@ -73,12 +73,12 @@ class Imported(Result):
 
 
 def import_table(paths: Path | Sequence[Path], how: ImportMap) -> Imported:
-    """Read a file of another program by a map; or several files of the same form as runs that follow one another.
+    """Read a file of another program by a map, or several files of the same form as consecutive runs.
 
-    The files follow by their dates where these are in them, with the true time between; else in the order given.
+    If the files have dates, these give their order and the time between them; else the files are in the given order.
 
     Raises:
-        MeasurementError: a file or the map is wrong; names line, column or key, and a way on.
+        MeasurementError: a file or the map is wrong; the message has line, column or key, and a remedy.
     """
     files = [paths] if isinstance(paths, Path) else list(paths)
     parts = [_part(path, how) for path in files]
@@ -87,7 +87,7 @@ def import_table(paths: Path | Sequence[Path], how: ImportMap) -> Imported:
 
 @dataclass(frozen=True)
 class _Part:
-    """What came out of one file, and when it began."""
+    """The rows of one file, and the time at which it begins."""
 
     path: Path
     imported: Imported
@@ -108,8 +108,8 @@ def _part(path: Path, how: ImportMap) -> _Part:
     faults = []
     for name, column in how.column.items():
         try:
-            columns[name], told = _column(table, name, column, keep, str(path))
-            notes += told
+            columns[name], remarks = _column(table, name, column, keep, str(path))
+            notes += remarks
         except MeasurementError as e:
             faults.append(str(e))
     if faults:
@@ -119,14 +119,14 @@ def _part(path: Path, how: ImportMap) -> _Part:
     table = table.rows(keep)
     clock = seconds(table, how.time, str(path))
     notes += clock.notes
-    run, told = runs(table, how.run, clock, columns, str(path))
-    notes += told
+    run, remarks = runs(table, how.run, clock, columns, str(path))
+    notes += remarks
     out: dict[str, Values] = {"run": run, "time_s": clock.time_s, **columns}
     return _Part(path, Imported(out, reader, rows_in, len(table), tuple(notes)), clock.began)
 
 
 def _joined(parts: Sequence[_Part], how: ImportMap) -> Imported:
-    """Files one after another; the time between them is that of their dates, else `restart_gap_s`, and is said."""
+    """Join files; the time between them is that of their dates, else `restart_gap_s`, with a note."""
     dates = [p.began for p in parts if p.began is not None]
     dated = len(dates) == len(parts)
     if dated:
@@ -169,7 +169,7 @@ def _joined(parts: Sequence[_Part], how: ImportMap) -> Imported:
 
 
 def import_measurement(paths: Path | Sequence[Path], how: ImportMap, machine: Machine) -> Measurement:
-    """Import as a measurement in memory, with all checks that a measurement file gets.
+    """Import as a measurement in memory, with all checks of a measurement file.
 
     Raises:
         MeasurementError: as `import_to_files`.
@@ -199,12 +199,12 @@ def import_to_files(
         how: the map.
         out: NAME, NAME.csv or NAME.parquet.
         machine: where given, the result is read back as a measurement of it, with all checks.
-        reader: takes the place of the map's.
+        reader: reader to use instead of the map's.
         drop_bad_rows, missing_codes: what the user accepts; written into `[table]` of NAME.toml.
-        force: write over files that are there.
+        force: overwrite existing files.
 
     Returns:
-        What was done, with the measurement where a machine was given, and the path of the table.
+        The result, with the measurement where a machine was given, and the path of the table.
 
     Raises:
         MeasurementError: as `import_table` and, for the result, as `load_measurement`.
@@ -244,10 +244,10 @@ def _may_write(table: Path, *, force: bool) -> None:
 
 
 def chosen(tables: Sequence[ForeignTable], name: str | None, source: str) -> ForeignTable:
-    """The table of that name; the only one where no name is given.
+    """The table of that name; without a name, the only one.
 
     Raises:
-        MeasurementError: there are several, or none of that name.
+        MeasurementError: there is no table of that name, or several where no name is given.
     """
     names = [t.name for t in tables]
     if name is None:
@@ -262,7 +262,7 @@ def chosen(tables: Sequence[ForeignTable], name: str | None, source: str) -> For
 
 
 def _kept(table: ForeignTable, how: ImportMap, source: str, notes: list[str]) -> Bools:
-    """Rows that `[rows]` lets through, (n,)."""
+    """Rows that fulfil `[rows]`, (n,)."""
     keep = np.ones(len(table), dtype=np.bool_)
     for name in how.rows.require:
         values = table.column(name, source)
@@ -281,7 +281,7 @@ def _kept(table: ForeignTable, how: ImportMap, source: str, notes: list[str]) ->
 
 
 def _after_first(columns: Mapping[str, Floats], how: ImportMap, keep: Bools, source: str, notes: list[str]) -> Bools:
-    """Of the kept rows those from the first value of every held column on."""
+    """The kept rows without those before the first value of any held column, (n,)."""
     for name, column in how.column.items():
         if column.fill is None:
             continue
@@ -309,7 +309,7 @@ def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> None:
 
 
 def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source: str) -> tuple[Floats, list[str]]:
-    """One column of the measurement, in all rows of the file, and what was done for it."""
+    """One column of the measurement, in all rows of the file, and notes on its conversion."""
     values = _numbers(table, column, keep, source)
     target = unit_of_column(name)
     unit = _unit(table, name, column, target, source)
@@ -341,7 +341,7 @@ def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source:
 
 
 def _taken(values: Floats, column: Column, table: ForeignTable, source: str) -> Floats:
-    """Sums of steps, or steps of sums; the first row has no step."""
+    """Cumulative sums or differences, as `take` requires; the first row has no difference."""
     if column.take == "difference":
         return np.concatenate([[np.nan], np.diff(values)])
     lost = np.flatnonzero(np.isnan(values))
@@ -369,16 +369,16 @@ def _numbers(table: ForeignTable, column: Column, keep: Bools, source: str) -> F
 
 
 def _unit(table: ForeignTable, name: str, column: Column, target: str, source: str) -> str:
-    """The unit of the file's numbers: the map's, or the reader's; they may not differ."""
-    told = table.units.get(column.from_, "")
-    if column.unit and told and told not in (column.unit, "1"):
+    """The unit of the file's numbers: the map's or the reader's, which must agree."""
+    own = table.units.get(column.from_, "")
+    if column.unit and own and own not in (column.unit, "1"):
         raise MeasurementError(
-            f"{source}: [column.{name}] unit = {column.unit!r}, but the file says that {column.from_!r} is in {told}; "
+            f"{source}: [column.{name}] unit = {column.unit!r}, but the file says that {column.from_!r} is in {own}; "
             "leave unit out, or use scale"
         )
-    if column.minus is not None and told and table.units.get(column.minus, told) != told:
+    if column.minus is not None and own and table.units.get(column.minus, own) != own:
         raise MeasurementError(f"{source}: [column.{name}] {column.from_!r} and {column.minus!r} differ in unit")
-    unit = column.unit or told
+    unit = column.unit or own
     if not unit and target != "1":
         raise MeasurementError(f"{source}: [column.{name}] nobody tells the unit of {column.from_!r}; say unit = …")
     return unit or target

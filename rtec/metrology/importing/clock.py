@@ -1,4 +1,4 @@
-"""Seconds from what a file says about time, and where runs begin."""
+"""Converts a file's times to seconds, and decides where runs begin."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ class RowClock:
 
     Attributes:
         time_s: (n,).
-        restarts: rows at which the file's own clock starts again.
-        notes: what to tell about it.
-        began: date and time of time 0, where the file has dates; local times as they are, as if in UTC.
+        restarts: rows at which the file's clock restarts.
+        notes: notes for the measurement.
+        began: date and time of time 0, where the file has dates; local times are taken as UTC.
     """
 
     time_s: Floats
@@ -37,7 +37,7 @@ def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
     """Time of each row.
 
     Raises:
-        MeasurementError: a cell that is no time, by line; or a time that falls where `restarts` is not said.
+        MeasurementError: a cell is no time, by line; or the time falls and `restarts` is not set.
     """
     if time.column is None:
         step_s = time.step_s or 1.0
@@ -77,7 +77,7 @@ def _since(values: Floats, unit: str) -> tuple[Floats, datetime | None]:
 
 
 def _of_day(table: ForeignTable, time: Time, source: str) -> tuple[Floats, datetime | None]:
-    """Seconds since the first time of day, and that one where it has a date."""
+    """Seconds since the first time of day, and that first one where it has a date."""
     name, pattern = time.column or "", time.format
     texts = table.column(name, source)
     if time.date is not None:
@@ -130,13 +130,13 @@ def _put_in_order(time_s: Floats, epoch: datetime | None, table: ForeignTable, t
 def runs(
     table: ForeignTable, run: Run, clock: RowClock, columns: Mapping[str, Floats], source: str
 ) -> tuple[Ints, list[str]]:
-    """Run number of each row, from 1, and what to tell about it.
+    """Run number of each row, from 1, and notes.
 
     Args:
-        table: of the file.
-        run: what begins a run.
-        clock: where it starts again a run begins in any case.
-        columns: of the measurement, for positions.
+        table: the table of the file.
+        run: rules for the start of a run.
+        clock: a restart of the clock always begins a run.
+        columns: columns of the measurement; has the positions.
         source: name of the file, for messages.
     """
     if run.column is not None:
@@ -165,8 +165,10 @@ def runs(
 def _reversals(
     name: str, dead_band_mm: float, columns: Mapping[str, Floats], time_s: Floats, source: str
 ) -> NDArray[np.bool_]:
-    """Rows that begin the way back. Of rows that stand at the turning point those after the longest pause belong to it;
-    of rows without one, the later half: the same targets are read from both sides.
+    """Rows at which the motion back begins, (n,).
+
+    The rows at the turning point are split at the longest pause; if there is none, in the middle, as both directions
+    read the same targets.
     """
     positions = [n for n in columns if n.endswith("_mm")]
     if name not in positions:

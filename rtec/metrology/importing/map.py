@@ -1,4 +1,4 @@
-"""The map of `rtec import`: which column of a file is which column of a measurement, and in what unit."""
+"""The map of `rtec import`: the source column and the unit of each column of a measurement."""
 
 import re
 from pathlib import Path
@@ -29,13 +29,13 @@ class Column(Strict):
 
     Attributes:
         from_: column of the file.
-        minus: column of the file that is taken off, in the same unit: actual minus nominal.
+        minus: column of the file that is subtracted, in the same unit: actual minus nominal.
         take: "sum": the file has steps, and the value is the sum of all so far; "difference": the file has running
-            totals, and the value is each one minus the one before. Rows that are left out count, too.
-        unit: of the file's numbers, where the reader does not tell it; the measurement's own where nobody does.
+            totals, and the value is each one minus the one before. Rows that are not used count, too.
+        unit: unit of the file's numbers, where the reader does not know it; by default the measurement's own.
         scale, sign, offset: see above.
-        fill: "hold" keeps the last value where there is none.
-        values: what words mean: {"fwd" = 1, "bwd" = -1}.
+        fill: "hold" repeats the last value where one is missing.
+        values: numbers for words: {"fwd" = 1, "bwd" = -1}.
         missing_codes: numbers that stand for "no value".
     """
 
@@ -68,12 +68,12 @@ class Time(Strict):
 
     Attributes:
         column: of the file.
-        date: column of the date, where it is in another one than the time of day; `format` reads "DATE TIME".
+        date: column of the date, where the time of day has a column of its own; `format` reads "DATE TIME".
         unit: a unit of time, or "iso", "filetime" (100 ns since 1601), "excel" (days since 1900), "unix" (seconds
             since 1970).
         format: strptime pattern of a time of day.
-        from_zero: does the first row become 0? Times of day always begin at 0.
-        restarts: a time that falls begins a new run: put it after the one before, `restart_gap_s` later.
+        from_zero: whether the first row becomes 0; times of day always begin at 0.
+        restarts: a time that falls begins a new run, `restart_gap_s` after the one before.
         restart_gap_s: see `restarts`.
         step_s: without a column: time from one row to the next.
     """
@@ -103,14 +103,14 @@ class Time(Strict):
 
 
 class Run(Strict):
-    """`[run]`: a column of run numbers, or what begins a new run; without anything all is one run.
+    """`[run]`: a column of run numbers, or rules for the start of a run; without any all rows are one run.
 
     Attributes:
         column: of the file.
         direction_of: position column of the measurement: every reversal begins a run.
         dead_band_mm: motion back by at most this much is no reversal.
         gap_s: a longer pause between rows begins a run.
-        jump_mm: a longer way between rows, of any axis, begins a run.
+        jump_mm: a longer motion of any axis between rows begins a run.
     """
 
     column: str | None = None
@@ -127,7 +127,7 @@ class Run(Strict):
 
 
 class RowRules(Strict):
-    """`[rows]`: which rows of the file are used; the others are left out, counted.
+    """`[rows]`: which rows of the file are used; the others are dropped and counted.
 
     Attributes:
         require: columns of the file in which a row needs a value.
@@ -202,6 +202,6 @@ def load_map(path: Path) -> ImportMap:
     """Read a map.
 
     Raises:
-        MeasurementError: file, section, key and what is allowed.
+        MeasurementError: the map is wrong; the message has file, section, key and what is allowed.
     """
     return validated(ImportMap, read_toml(path, MeasurementError), str(path), MeasurementError)

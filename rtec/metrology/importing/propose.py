@@ -1,8 +1,8 @@
-"""A map proposed from the file itself: what each column is, why, and what only people can know.
+"""Proposes a map from the file itself: the meaning of each column with the reason, and questions to the user.
 
-`propose` looks at the first rows. What the file says is concluded, each with its reason; what it does not say becomes a
-question. A question with a usual answer takes that one until it is answered, and the measurement's notes say that it
-was assumed; a question without one must be answered first.
+`propose` reads the first rows. Each conclusion has its reason; what the file does not show becomes a question. If a
+question has a default, this is assumed until the user answers, and the measurement's notes have the assumption. A
+question without a default must be answered first.
 """
 
 import itertools
@@ -36,9 +36,9 @@ from rtec.tomlfile import nearest, validated
 from rtec.wholefile import write_text
 
 FIRST = 4
-"""Values shown of each column."""
+"""Number of values that are shown of each column."""
 ODD = 0.1
-"""Up to this share of cells that are no numbers, a column is one of numbers."""
+"""A column counts as numeric if at most this share of its cells are no numbers."""
 NO_VALUE = "no value"
 NUMBERS: Final = re.compile(r"\[\n((?: +[-+.0-9e]+,\n)+)\]")
 NEEDED = {
@@ -46,20 +46,20 @@ NEEDED = {
     "level": ("about",),
     "squareness": ("reference_axis",),
 }
-"""Keys of `[setup]` that an instrument needs unless a component is named, beside those that its set-up demands."""
+"""Keys of `[setup]` that an instrument needs unless a component is named, beside its required keys."""
 EXAMPLES = {"probe": 'such as {z={direction="Z"}}: name and direction of each'}
 
 
 @dataclass(frozen=True)
 class ImportQuestion:
-    """What the file does not say.
+    """A question about something that the file does not show.
 
     Attributes:
-        key: that an answer is given for, such as "axis", "setup.beam_offset_mm" or "unit of Weg".
+        key: key of the answer, such as "axis", "setup.beam_offset_mm" or "unit of Weg".
         text: for people.
-        choices: answers that are possible; empty: any text, or TOML for a set-up.
-        default: usual answer, assumed until another is given; None: it must be answered.
-        hint: what an answer may be, where there are no choices.
+        choices: possible answers; empty: any text, or TOML for a set-up.
+        default: answer that is assumed until another is given; None: it must be answered.
+        hint: form of the answer, where there are no choices.
     """
 
     key: str
@@ -74,12 +74,12 @@ class ForeignColumn:
     """A column of the file.
 
     Attributes:
-        name: in the file.
-        unit: that its name or the reader says; "" where none does.
+        name: name in the file.
+        unit: unit from its name or from the reader; "" where unknown.
         first: its first values, as texts.
-        empty: rows looked at that have no value.
+        empty: number of the examined rows without a value.
         becomes: column of the measurement; "" where it is not used.
-        reason: why.
+        reason: the reason, in words.
     """
 
     name: str
@@ -92,21 +92,21 @@ class ForeignColumn:
 
 @dataclass(frozen=True)
 class ImportProposal:
-    """A map that is proposed for a file.
+    """A proposed map for a file.
 
     Attributes:
-        path: of the file.
-        reader: that reads it.
-        tables: names of the tables in it.
-        rows: looked at.
-        whole: are these all rows of the file?
-        columns: of the file.
-        content: the map as nested tables; without what is not answered.
-        guesses: what was concluded, with reasons.
-        questions: what was not, answered ones left out.
-        assumed: usual answers that were taken: question and answer.
-        notes: of the reader.
-        machine, told, answers: that it was made with.
+        path: path of the file.
+        reader: name of the reader.
+        tables: names of the tables in the file.
+        rows: number of examined rows.
+        whole: whether these are all rows of the file.
+        columns: columns of the file.
+        content: the map as nested tables, without unanswered parts.
+        guesses: conclusions, with reasons.
+        questions: unanswered questions.
+        assumed: questions with the default that was assumed.
+        notes: notes of the reader.
+        machine, preset, answers: the arguments of `propose`.
     """
 
     path: Path
@@ -121,32 +121,32 @@ class ImportProposal:
     assumed: tuple[tuple[ImportQuestion, str], ...]
     notes: tuple[str, ...]
     machine: Machine | None = None
-    told: Mapping[str, Any] = field(default_factory=dict)
+    preset: Mapping[str, Any] = field(default_factory=dict)
     answers: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def open(self) -> tuple[ImportQuestion, ...]:
-        """Questions that must be answered before anything is imported."""
+        """Questions that must be answered before the import."""
         return tuple(q for q in self.questions if q.default is None)
 
     @property
     def conclusions(self) -> tuple[str, ...]:
-        """What was concluded about the file, in words: how it is written, its time, its runs."""
-        return tuple(_said(g) for g in self.guesses)
+        """Conclusions about the file, in words: its format, its time, its runs."""
+        return tuple(_conclusion(g) for g in self.guesses)
 
     def answered(self, answers: Mapping[str, str]) -> "ImportProposal":
-        """The proposal with more answers; they may open other questions.
+        """The proposal with more answers; they may lead to other questions.
 
         Raises:
-            MeasurementError: an answer to no question, or one that is not possible.
+            MeasurementError: an answer belongs to no question, or is not possible.
         """
-        return propose(self.path, self.machine, self.told, {**self.answers, **answers})
+        return propose(self.path, self.machine, self.preset, {**self.answers, **answers})
 
     def import_map(self) -> ImportMap:
         """The map.
 
         Raises:
-            MeasurementError: questions are not answered; names them and how to answer.
+            MeasurementError: questions are not answered; the message names them and how to answer.
         """
         if self.open:
             ways = [f"{self.path}: {q.text} Answer: {_way(q)}" for q in self.open]
@@ -154,7 +154,7 @@ class ImportProposal:
         return validated(ImportMap, self.content, str(self.path), MeasurementError)
 
     def facts(self) -> dict[str, Any]:
-        """Everything, as plain values for JSON."""
+        """The proposal as plain values for JSON."""
         one = ("path", "reader", "tables", "rows", "whole", "content", "notes")
         return {name: getattr(self, name) for name in one} | {
             "path": str(self.path),
@@ -164,8 +164,8 @@ class ImportProposal:
         }
 
     def toml(self) -> str:
-        """The map as a file, with what is known of it in comments; valid TOML whatever the file holds."""
-        lines = [part for line in self._lines() for part in _folded(clean(line))]
+        """The map as TOML, with reasons and questions in comments; valid TOML whatever the foreign file contains."""
+        lines = [part for line in self._lines() for part in _wrapped(clean(line))]
         content = {k: v for k, v in self.content.items() if v != {}}
         return "\n".join([*(f"# {x}".rstrip() for x in lines), "", NUMBERS.sub(_one_line, tomli_w.dumps(content))])
 
@@ -192,8 +192,8 @@ class ImportProposal:
         return out
 
 
-def _folded(line: str) -> list[str]:
-    """A line in lines of at most 78 characters; what follows is set in."""
+def _wrapped(line: str) -> list[str]:
+    """A line as lines of at most 78 characters; continuation lines are indented."""
     indent = " " * (len(line) - len(line.lstrip(" ")))
     return wrap(line, 78, subsequent_indent=f"{indent}    ", break_on_hyphens=False) or [""]
 
@@ -202,7 +202,7 @@ def _one_line(found: re.Match[str]) -> str:
     return f"[{', '.join(found.group(1).replace(',', ' ').split())}]"
 
 
-def _said(guess: Guess) -> str:
+def _conclusion(guess: Guess) -> str:
     name = guess.key.removeprefix("source.").replace("_", " ")
     shown = "" if guess.value is None or guess.value is True else f" {guess.value!r}"
     return f"{name}{shown}: {guess.reason}"
@@ -218,51 +218,52 @@ def _way(question: ImportQuestion) -> str:
 def propose(
     path: Path,
     machine: Machine | None = None,
-    told: Mapping[str, Any] | None = None,
+    preset: Mapping[str, Any] | None = None,
     answers: Mapping[str, str] | None = None,
 ) -> ImportProposal:
     """Propose a map for a file of another program.
 
     Args:
-        path: of the file.
-        machine: that it was measured on; its axes and sensors are looked for.
-        told: tables of a map that are known (`{"source": {"decimal": ","}}`); they are taken as they are.
-        answers: to questions, by key; texts.
+        path: path of the file.
+        machine: the measured machine; its axes and sensors are matched to columns.
+        preset: known tables of a map (`{"source": {"decimal": ","}}`), which are not changed.
+        answers: answers as texts, by key of the question.
 
     Raises:
-        MeasurementError: the file cannot be read, is no table; or an answer to no question, or not possible.
+        MeasurementError: the file cannot be read or is no table; or an answer belongs to no question or is not
+            possible.
     """
-    told, answers = told or {}, answers or {}
-    asked = _Answers(str(path), answers)
-    read = _read(path, dict(told.get("source", {})), asked)
+    preset, answers = preset or {}, answers or {}
+    asker = _Answers(str(path), answers)
+    read = _read(path, dict(preset.get("source", {})), asker)
     tables, guesses = read.tables, read.guesses
-    name = told.get("source", {}).get("table")
+    name = preset.get("source", {}).get("table")
     if name is None and len(tables) > 1:
         choices = tuple(t.name for t in tables)
-        name = asked.ask("table", "Which of the tables?", choices, choices[0])
+        name = asker.ask("table", "Which of the tables?", choices, choices[0])
     table = chosen(tables, name, str(path))
     content: dict[str, Any] = {"source": read.source | ({"table": name} if name else {})}
-    table, events = _events(table, told.get("events"), str(path))
+    table, events = _events(table, preset.get("events"), str(path))
     if events is not None:
         content["events"] = events
         guesses = (*guesses, Guess("events", events["channel"], "one value a line: each channel becomes a column"))
-    roles = ColumnRoles(table, machine, told, asked.ask, is_log=events is not None or read.name == "json_lines")
+    roles = ColumnRoles(table, machine, preset, asker.ask, is_log=events is not None or read.name == "json_lines")
     content |= roles.content()
-    content["setup"] = dict(told.get("setup", {})) | _setup(content["measurement"], told, asked)
+    content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker)
     content["column"] = _of_probes(content["column"], content["setup"])
-    asked.check(content["measurement"])
-    if asked.assumed:
-        notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asked.assumed]
+    asker.check(content["measurement"])
+    if asker.assumed:
+        notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asker.assumed]
         content["measurement"]["notes"] = [*content["measurement"].get("notes", ()), *notes]
     return ImportProposal(
         path, read.name, tuple(t.name for t in tables), len(table), read.whole, _columns(table, roles), content,
-        (*guesses, *roles.guesses), tuple(asked.open), tuple(asked.assumed), table.notes, machine, told, answers,
+        (*guesses, *roles.guesses), tuple(asker.open), tuple(asker.assumed), table.notes, machine, preset, answers,
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class _Read:
-    """What a reader gave: its name, the tables, whether that is all of the file, `[source]`, and what was concluded."""
+    """Result of a reader: its name, the tables, whether they are the whole file, `[source]`, and conclusions."""
 
     name: str
     tables: list[ForeignTable]
@@ -271,38 +272,38 @@ class _Read:
     guesses: tuple[Guess, ...] = ()
 
 
-def _read(path: Path, told: dict[str, Any], asked: "_Answers") -> _Read:
-    """The tables of a file; of a text table its first rows, in the layout that it seems to have."""
-    reader = told.get("reader")
+def _read(path: Path, preset: dict[str, Any], asker: "_Answers") -> _Read:
+    """The tables of a file; of a text table the first rows, in the likeliest layout."""
+    reader = preset.get("reader")
     if reader is not None and reader not in READERS:
         raise MeasurementError(f"{path}: there is no reader {reader!r}{nearest(reader, READERS)}")
-    if (reader or detect(path, told.get("encoding"))) != "delimited":
-        options = validated(SourceOptions, told, f"{path}: [source]", MeasurementError)
+    if (reader or detect(path, preset.get("encoding"))) != "delimited":
+        options = validated(SourceOptions, preset, f"{path}: [source]", MeasurementError)
         name, tables = read_tables(path, options)
-        return _Read(name, tables, True, {"reader": name, **told})
-    found = layout(path, {k: v for k, v in told.items() if k not in ("table", "swap_directions")})
+        return _Read(name, tables, True, {"reader": name, **preset})
+    found = layout(path, {k: v for k, v in preset.items() if k not in ("table", "swap_directions")})
     more: dict[str, Any] = {}
     for doubt in found.doubts:
-        if (key := doubt.key.removeprefix("source.")) not in told:
-            more[key] = asked.ask(key, f"{doubt.reason}: which?", tuple(doubt.value), str(doubt.value[0]))
+        if (key := doubt.key.removeprefix("source.")) not in preset:
+            more[key] = asker.ask(key, f"{doubt.reason}: which?", tuple(doubt.value), str(doubt.value[0]))
     if more.get("decimal") == ".":
         more["thousands"] = ","
     source = found.source.model_copy(update=more)
     if not source.header and source.names is None:
         usual = ", ".join(table_of(path, found.text, source).columns)
         hint = "with units: time s, x mm, dev um, T_nut degC"
-        names = asked.ask("names", "What are the columns called?", (), usual, hint) or usual
+        names = asker.ask("names", "What are the columns called?", (), usual, hint) or usual
         more["names"] = [n.strip() for n in names.split(",")]
     source = validated(SourceOptions, _plain(found.source) | more, f"{path}: [source]", MeasurementError)
     table = table_of(path, found.text, source)
-    if words := () if _log_columns(table) else _odd_cells(table, asked):
+    if words := () if _log_columns(table) else _odd_cells(table, asker):
         source = source.model_copy(update={"missing": (*source.missing, *words)})
         table = table_of(path, found.text, source)
     return _Read("delimited", [table], not found.cut, _plain(source), found.guesses)
 
 
-def _odd_cells(table: ForeignTable, asked: "_Answers") -> list[str]:
-    """Cells that are no number in columns of numbers; each such column is asked for, and is numbers unless left out."""
+def _odd_cells(table: ForeignTable, asker: "_Answers") -> list[str]:
+    """Notes on cells without a number in numeric columns; asks about each such column, which is numeric by default."""
     words: list[str] = []
     for name, values in table.columns.items():
         odd, right = _odd_of(table, name)
@@ -311,13 +312,13 @@ def _odd_cells(table: ForeignTable, asked: "_Answers") -> list[str]:
         more = f", nor are {len(odd) - 1} more" if len(odd) > 1 else ""
         text = f"Line {table.lines[odd[0]]}, column {name!r}: {clean(str(values[odd[0]]))!r} is no number{more}; "
         text += f"{right} cells are. Correct the file, or is it no value?"
-        if asked.ask(f"odd cell of {name}", text, (NO_VALUE, LEAVE)) != LEAVE:
+        if asker.ask(f"odd cell of {name}", text, (NO_VALUE, LEAVE)) != LEAVE:
             words += [str(values[i]) for i in odd]
     return list(dict.fromkeys(words))
 
 
 def _odd_of(table: ForeignTable, name: str) -> tuple[list[int], int]:
-    """Rows of the cells that are no number in a column of numbers, none in one of words; and how many cells are."""
+    """Rows of the cells without a number in a numeric column (none in a column of words), and the number of cells."""
     values = table.columns[name]
     filled = np.flatnonzero(values != "").tolist() if values.dtype == np.object_ else []
     odd = [i for i in filled if number_or_none(str(values[i]), table.decimal) is None]
@@ -329,19 +330,19 @@ def _plain(source: SourceOptions) -> dict[str, Any]:
 
 
 def _events(
-    table: ForeignTable, told: Mapping[str, Any] | None, source: str
+    table: ForeignTable, preset: Mapping[str, Any] | None, source: str
 ) -> tuple[ForeignTable, dict[str, Any] | None]:
-    """The table of an event log, and `[events]`; the table itself where it is none."""
-    events = dict(told) if told else _log_columns(table)
+    """An event log as a table, and `[events]`; any other table as it is."""
+    events = dict(preset) if preset else _log_columns(table)
     if not events:
         return table, None
     return from_events(table, events["channel"], events["value"], events.get("unit"), source), events
 
 
 def _log_columns(table: ForeignTable) -> dict[str, Any]:
-    """Which columns are channel and value of a log; empty where it is none.
+    """`channel` and `value` of a log; empty where the table is no log.
 
-    A log has three columns, or four with the units: words that come again and again beside one column of values.
+    A log has three columns, or four with the units: words that repeat, beside one column of values.
     """
     if not 3 <= len(table.columns) <= 4 or len(table) < 4:
         return {}
@@ -370,7 +371,7 @@ def _moments(values: Any) -> bool:
 
 
 def _takes_turns(channel: Any, table: ForeignTable, value: str) -> bool:
-    """Without a name that says so: at least three channels, or the values of two that differ more than within one."""
+    """Whether a column looks like channel names: three or more, or two whose values differ more than those of one."""
     if len(set(channel)) >= 3:
         return True
     values = table.columns[value]
@@ -382,23 +383,23 @@ def _takes_turns(channel: Any, table: ForeignTable, value: str) -> bool:
 
 
 class _Answers:
-    """Questions as they come up: answered, assumed by their usual answer, or open."""
+    """Collects questions: answered, assumed by default, or unanswered."""
 
     def __init__(self, source: str, answers: Mapping[str, str]) -> None:
         self.source = source
         self.answers = answers
-        self.asked: list[str] = []
+        self.keys: list[str] = []
         self.open: list[ImportQuestion] = []
         self.assumed: list[tuple[ImportQuestion, str]] = []
 
     def ask(
         self, key: str, text: str, choices: tuple[str, ...] = (), default: str | None = None, hint: str = ""
     ) -> str | None:
-        """The answer, or the usual one; None where neither is there."""
+        """The answer, or the default; None where there is neither."""
         question = ImportQuestion(key, text, choices, default, hint)
-        if question.key in self.asked:
+        if question.key in self.keys:
             return self.answers.get(question.key, question.default)
-        self.asked.append(question.key)
+        self.keys.append(question.key)
         if (given := self.answers.get(question.key)) is None:
             self.open.append(question)
             if question.default is not None:
@@ -411,14 +412,14 @@ class _Answers:
         return given
 
     def check(self, known: Mapping[str, Any]) -> None:
-        """Refuse answers that nobody asked for, unless they are what the file says itself."""
+        """Refuse answers to unknown questions, unless they repeat what the file shows."""
         for key, answer in self.answers.items():
-            if key not in self.asked and known.get(key) != answer:
-                raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, self.asked)}")
+            if key not in self.keys and known.get(key) != answer:
+                raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, self.keys)}")
 
 
-def _setup(measurement: Mapping[str, Any], told: Mapping[str, Any], asked: _Answers) -> dict[str, Any]:
-    """`[setup]`: what the instrument needs, and where its point is, unless a component is named."""
+def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _Answers) -> dict[str, Any]:
+    """`[setup]`: the required keys, and the instrument's offset unless a component is named."""
     instrument = measurement.get("instrument")
     if instrument not in INSTRUMENTS:
         return {}
@@ -427,21 +428,21 @@ def _setup(measurement: Mapping[str, Any], told: Mapping[str, Any], asked: _Answ
     for name, info in INSTRUMENTS[instrument].setup_model.model_fields.items():
         offset = name.endswith("offset_mm") and not direct
         needed = info.is_required() or (name in NEEDED.get(instrument, ()) and not direct)
-        if name in told.get("setup", {}) or not (needed or offset):
+        if name in preset.get("setup", {}) or not (needed or offset):
             continue
         choices = tuple(str(c) for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a))
         default = None if needed else str(list(info.default))
         text = (
             f"{name} of the {instrument}?" if needed else f"{name}, from the tool tip to where the {instrument} reads?"
         )
-        answer = asked.ask(f"setup.{name}", text, choices, default, EXAMPLES.get(name, ""))
+        answer = asker.ask(f"setup.{name}", text, choices, default, EXAMPLES.get(name, ""))
         if answer is not None:
-            out[name] = answer if choices else _value(answer, name, asked.source)
+            out[name] = answer if choices else _value(answer, name, asker.source)
     return out
 
 
 def _of_probes(columns: Mapping[str, Any], setup: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns; readings named by the probes of a set-up, in their order, where there are as many of them."""
+    """The columns; if there are as many readings as probes in the set-up, readings get the probes' names in order."""
     probes = setup.get("probe")
     readings = [name for name in columns if name.startswith("reading")]
     if not isinstance(probes, dict) or len(probes) != len(readings):
@@ -456,7 +457,7 @@ def _literals(annotation: Any) -> tuple[Any, ...]:
 
 
 def _value(answer: str, name: str, source: str) -> Any:
-    """An answer as TOML, or as the word that it is."""
+    """An answer as a TOML value, else as text."""
     try:
         return tomllib.loads(f"a = {answer}")["a"]
     except tomllib.TOMLDecodeError:
@@ -479,19 +480,19 @@ def _columns(table: ForeignTable, roles: ColumnRoles) -> tuple[ForeignColumn, ..
 
 
 def map_of(table: Path) -> Path:
-    """Where the map of a measurement is written."""
+    """Path of the map beside a measurement: NAME-map.toml."""
     return table.with_name(f"{table.stem}-map.toml")
 
 
 def save_map(proposal: ImportProposal, table: Path) -> Path:
-    """Write the map beside a measurement, as NAME-map.toml; appears whole or not at all.
+    """Write the map beside a measurement, as NAME-map.toml; the file appears whole or not at all.
 
     Args:
-        proposal: whose map it is.
-        table: of the measurement.
+        proposal: its map is written.
+        table: path of the measurement's table.
 
     Raises:
-        MeasurementError: it cannot be written.
+        MeasurementError: the file cannot be written.
     """
     path = map_of(table)
     write_text(proposal.toml(), path, MeasurementError)

@@ -1,4 +1,4 @@
-"""Which column of a foreign table is what: time, runs, positions, readings, temperatures; and what must be asked."""
+"""Roles of the columns of a foreign table: time, runs, positions, readings, temperatures; asks about unclear ones."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -38,9 +38,9 @@ DATES = (
 CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 JOINS = (" ", "T", "-", "_", ", ")
 TRIED = 400
-"""Cells that a form of time is tried on."""
+"""Number of cells on which a format of time is tried."""
 FEW_LINES = 2
-"""So many lines without a time are remarks above or below the rows, not readings that lost theirs."""
+"""Up to this many lines without a time count as remarks above or below the rows."""
 LEAVE = "leave out"
 LENGTH_HINT = "um, mm, inch; for counts the size of one, such as 2.5 um"
 UNIX = (1e8, 5e9)
@@ -49,17 +49,17 @@ EXCEL = (20000.0, 80000.0)
 
 
 class Asks(Protocol):
-    """A question by its fields; gives the answer, or the usual one, or None."""
+    """Asks a question given by its fields; gives the answer, the default, or None."""
 
     def __call__(
         self, key: str, text: str, choices: tuple[str, ...] = (), default: str | None = None, hint: str = ""
     ) -> str | None:
-        """Ask."""
+        """Ask one question; arguments as the fields of `ImportQuestion`."""
 
 
 @dataclass(frozen=True)
 class _When:
-    """A form of time that all cells have."""
+    """A format of time that fits all cells."""
 
     column: str
     keys: dict[str, Any]
@@ -67,44 +67,44 @@ class _When:
 
 
 class ColumnRoles:
-    """What the columns of a table are taken for.
+    """Assigns roles to the columns of a table.
 
     Args:
-        table: of the file; an event log as columns.
-        machine: that it was measured on, or None.
-        told: tables of a map that are known.
-        ask: asks what is not known.
-        is_log: do channels come at times of their own?
+        table: table of the file; an event log as columns.
+        machine: the measured machine, or None.
+        preset: known tables of a map.
+        ask: asks the user.
+        is_log: whether each channel has times of its own.
 
     Attributes:
-        use: column of the file to column of the measurement and the reason.
-        units: of the columns of the file, as far as they say.
-        guesses: what was concluded beside the columns.
+        use: column of the measurement and the reason, by column of the file.
+        units: units of the columns of the file, as far as known.
+        guesses: further conclusions.
     """
 
     def __init__(
-        self, table: ForeignTable, machine: Machine | None, told: Mapping[str, Any], ask: Asks, *, is_log: bool
+        self, table: ForeignTable, machine: Machine | None, preset: Mapping[str, Any], ask: Asks, *, is_log: bool
     ) -> None:
-        self.table, self.machine, self.told, self.ask, self.is_log = table, machine, told, ask, is_log
+        self.table, self.machine, self.preset, self.ask, self.is_log = table, machine, preset, ask, is_log
         self.use: dict[str, tuple[str, str]] = {}
         self.units = {n: u for n in table.columns if (u := table.units.get(n) or bare_unit(n))}
         self.guesses: list[Guess] = []
-        self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in told.get("column", {}).items()}
+        self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             self.use[str(column.get("from"))] = (target, "given")
 
     def content(self) -> dict[str, Any]:
         """The map without `[source]`, `[events]` and `[setup]`."""
-        time = dict(self.told.get("time", {})) or self._time()
+        time = dict(self.preset.get("time", {})) or self._time()
         run = self._run_column()
         self._temperatures()
         self._motion()
-        measurement = self._measured(dict(self.told.get("measurement", {})))
+        measurement = self._measured(dict(self.preset.get("measurement", {})))
         if not run:
             run = self._runs(measurement)
         self._directions(measurement)
-        out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.told.get("run", run))}
-        if rows := dict(self.told.get("rows", {})) or self._rows(time.get("column")):
+        out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.preset.get("run", run))}
+        if rows := dict(self.preset.get("rows", {})) or self._rows(time.get("column")):
             out["rows"] = rows
         return out | {"column": self.columns}
 
@@ -180,7 +180,7 @@ class ColumnRoles:
         return _When(clock[0], {"format": clock[1]}, f"time of day, {clock[1]}; no date in the file")
 
     def _is_row(self) -> NDArray[np.bool_]:
-        """Lines with more than one cell; `End of test;;;` is none."""
+        """Whether each line has more than one cell; `End of test;;;` does not."""
         if len(self.table.columns) <= 2:
             return np.ones(len(self.table), dtype=np.bool_)
         filled = np.zeros(len(self.table), dtype=np.int64)
@@ -189,7 +189,7 @@ class ColumnRoles:
         return np.asarray(filled > 1)
 
     def _which(self, name: str, forms: list[str]) -> str:
-        """Day before month, or month before day: asked where the cells allow both."""
+        """Day before month, or month before day; asks where the cells allow both."""
         shortest = [f for f in forms if len(f) == min(map(len, forms))]
         if len({f[:5] for f in shortest}) == 1 or not {"%d/%m", "%m/%d", "%d-%m", "%m-%d"} & {f[:5] for f in shortest}:
             return shortest[0]
@@ -197,7 +197,7 @@ class ColumnRoles:
         return self.ask(f"date of {name}", "Is the day or the month first?", choices, choices[0]) or choices[0]
 
     def _number_of_time(self) -> _When | None:
-        """Numbers that a name, a unit or their size make a time."""
+        """A column of numbers that is a time by its name, its unit or its size."""
         for name in sorted(self._free(), key=lambda n: not has(n, "time")):
             unit, values = self.units.get(name, ""), self._finite(name)
             is_unit = bool(unit) and UNITS[unit].kind == "time"
@@ -224,7 +224,7 @@ class ColumnRoles:
         unit = self.ask(f"unit of {name}", f"Unit of the time {name!r}?", ("s", "ms", "min", "h"), "s")
         return _When(name, {"unit": unit}, "time by its name")
 
-    # --- what is not the reading
+    # --- runs, temperatures and motion
 
     def _run_column(self) -> dict[str, Any]:
         for name in self._free():
@@ -253,11 +253,11 @@ class ColumnRoles:
                 unit = (
                     self.ask(f"unit of {name}", f"Unit of the temperature {name!r}?", ("°C", "°F", "K"), "°C") or "°C"
                 )
-            told = {} if self.table.units.get(name) else {"unit": unit}
-            self._take(name, f"{target}_degc", reason, **told)
+            unit_key = {} if self.table.units.get(name) else {"unit": unit}
+            self._take(name, f"{target}_degc", reason, **unit_key)
 
     def _warm(self, name: str) -> bool:
-        """Is a column without a unit a temperature? Its name says so, it is no setting, and its values can be."""
+        """Whether a column without a unit is a temperature: by its name, its values, and if it is no setting."""
         values = self._finite(name)
         named = has(name, "temperature") or re.fullmatch(r"(?i)t(_.*|\d+)|.*_t\d*|.*temp", name.strip()) is not None
         named = named or any(map(is_place, words_of(name)))
@@ -267,7 +267,7 @@ class ColumnRoles:
         return bool(-60.0 < np.median(values) < 500.0)
 
     def _sensor(self, name: str, sensors: tuple[str, ...]) -> str | None:
-        """The machine's sensor; "" where the column is to be left out, None where it is not answered."""
+        """The machine's sensor; "" where the column is not used, None where the question is not answered."""
         fitting = sensors_like(name, sensors)
         if len(fitting) == 1:
             return fitting[0]
@@ -314,7 +314,7 @@ class ColumnRoles:
         return has(name, "deviation") and kind in ("", "length")
 
     def _is_actual_place(self, name: str) -> bool:
-        """Is it where the axis was, not how far off: does it go through what a nominal position in its unit does?"""
+        """Whether a column is an actual position, not a deviation: it has the range of a nominal position."""
         if not has(name, "actual") or has(name, "deviation"):
             return False
         same = [n for n in self._free() if is_nominal(n) and self.units.get(n) == self.units.get(name)]
@@ -327,7 +327,7 @@ class ColumnRoles:
         return bool(axis_letter(name)) or is_nominal(name) or unit in ("mm", "m", "inch", "cm")
 
     def _by_size(self, rest: list[str], nominal: list[str]) -> tuple[list[str], list[str]]:
-        """Nothing is called a reading: the one column that is no position; else it is asked."""
+        """Where no name means a reading: the only column that is no position; asks where there are several."""
         lengths = [n for n in rest if not self.units.get(n) or UNITS[self.units[n]].kind in ("length", "angle")]
         lengths = [n for n in lengths if not has(n, "index") and not has(n, "setting")] or lengths
         others = [n for n in lengths if n not in nominal]
@@ -340,7 +340,7 @@ class ColumnRoles:
         return ([name], [n for n in nominal if n != name]) if name else ([], [])
 
     def _positions(self, nominal: Sequence[str], head: dict[str, Any]) -> dict[str, str]:
-        """Take the positions; gives the axis of each. One without a letter is that of the axis asked for."""
+        """Assign the positions; gives the axis of each. A name without a letter belongs to the axis of the answer."""
         axes = self.machine.axis_names if self.machine else ()
         out: dict[str, str] = {}
         for name in nominal:
@@ -361,7 +361,7 @@ class ColumnRoles:
         return out
 
     def _length(self, name: str) -> dict[str, Any]:
-        """`unit` of a position where the file does not say it, and `scale` where it counts something."""
+        """`unit` of a position where the file lacks it, and `scale` where the numbers are counts."""
         if self.units.get(name):
             return {}
         answer = self.ask(f"unit of {name}", f"Unit of the position {name!r}?", (), "mm", LENGTH_HINT)
@@ -426,7 +426,7 @@ class ColumnRoles:
         self._take(name, target, why, **keys, **({"sign": -1} if sign < 0 else {}))
 
     def _unit_of_reading(self, name: str) -> dict[str, Any]:
-        """By size, where one unit only makes sense: deviations of machines are below a few tenths of a millimetre."""
+        """By size, where only one unit is plausible: deviations of machines are below a few tenths of a millimetre."""
         values = self._finite(name)
         usual = "um" if np.abs(values - np.median(values)).max() >= 1.0 else None
         answer = self.ask(
@@ -520,7 +520,7 @@ class ColumnRoles:
         return {"direction_of": target}
 
     def _rows(self, clock: str | None) -> dict[str, Any]:
-        """Of a log the rows with a reading; of a table those with a time, where a line or two has none."""
+        """`[rows]`: of a log the rows with a reading; of a table the rows with a time, if a line or two has none."""
         if self.is_log:
             readings = [c["from"] for n, c in self.columns.items() if n.startswith("reading")]
             return {"require": readings} if readings else {}
@@ -534,7 +534,7 @@ class ColumnRoles:
 
 
 def _filled(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which cells of a column have a value, (n,)."""
+    """Whether each cell of a column has a value, (n,)."""
     if values.dtype != np.object_:
         return np.asarray(~np.isnan(values))
     # NaN is not equal to itself.
@@ -542,7 +542,7 @@ def _filled(values: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _fit(cells: Sequence[str], form: str) -> bool:
-    """Do all cells have this form? Tried on the ends first, which rule most forms out."""
+    """Whether a format fits all cells; tries the first and last ones first, which exclude most formats."""
     for text in (cells[0], cells[-1], *cells):
         try:
             datetime.strptime(text.strip(), form)

@@ -1,4 +1,4 @@
-"""Rows of a foreign table: those that a condition lets through, and those that an event log makes."""
+"""Rows of a foreign table: selects them by a condition, and builds them from an event log."""
 
 import ast
 import re
@@ -28,17 +28,17 @@ ALLOWED = "columns, numbers and quoted words with == != < <= > >=, joined by and
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition on rows: its text, and its tree, in which odd names of columns are replaced by `odd`."""
+    """A condition on rows: its text and its tree; `odd` has the columns in backquotes by their substitute names."""
 
     text: str
     tree: ast.expr
     odd: dict[str, str]
 
     def holds(self, table: ForeignTable, source: str) -> Bools:
-        """In which rows it holds, (n,); a missing value fulfils no comparison but `!=`.
+        """Whether it holds in each row, (n,); a missing value fulfils no comparison but `!=`.
 
         Raises:
-            MeasurementError: a column that is not there, or numbers compared with words.
+            MeasurementError: a column is missing, or numbers are compared with words.
         """
         return self._of(self.tree, table, source)
 
@@ -73,10 +73,10 @@ class Condition:
 
 
 def condition(text: str) -> Condition:
-    """Read a condition; names of columns that are no plain words go between backquotes: `` `Soll [mm]` > 5 ``.
+    """Read a condition; names of columns that are no plain words need backquotes: `` `Soll [mm]` > 5 ``.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the text is no condition.
     """
     if len(text) > MAX_CONDITION:
         raise ValueError(f"a condition has at most {MAX_CONDITION} characters")
@@ -123,10 +123,10 @@ def _is_side(node: ast.expr) -> bool:
 
 
 def from_events(table: ForeignTable, channel: str, value: str, unit: str | None, source: str) -> ForeignTable:
-    """Turn a log of events into a table: a column a channel, events with the same other cells into one row.
+    """Turn an event log into a table: one column a channel; events with the same other cells become one row.
 
     Args:
-        table: of the log.
+        table: table of the log.
         channel, value, unit: its columns; `unit` may be None.
         source: name of the file, for messages.
 
@@ -134,7 +134,7 @@ def from_events(table: ForeignTable, channel: str, value: str, unit: str | None,
         The other columns, then the channels in order of appearance; what an instant did not log is NaN or "".
 
     Raises:
-        MeasurementError: no such column, a channel named like another column, or a channel in two units.
+        MeasurementError: a column is missing, a channel has the name of another column, or a channel has two units.
     """
     names = [_word(c) for c in table.column(channel, source)]
     values = table.column(value, source)
@@ -164,7 +164,7 @@ def _word(cell: Any) -> str:
 
 
 def _instants(names: Sequence[str], keys: Sequence[Floats | Texts]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Row of each event, and the first event of each row; a channel that comes again begins another row."""
+    """Row of each event, and the first event of each row; a repeated channel begins another row."""
     n = len(names)
     new = np.ones(n, dtype=np.bool_)
     new[1:] = np.logical_or.reduce([k[1:] != k[:-1] for k in keys]) if keys else False
@@ -177,7 +177,7 @@ def _instants(names: Sequence[str], keys: Sequence[Floats | Texts]) -> tuple[NDA
 
 
 def _channel(values: Floats | Texts, rows: NDArray[np.int64], n: int, decimal: str) -> Floats | Texts:
-    """Values of one channel at its rows, as numbers where all are."""
+    """Values of one channel at its rows, as numbers if all of them are."""
     numbers = [float(v) if isinstance(v, float) else number_or_none(str(v), decimal) for v in values]
     if all(v is not None for v in numbers):
         out: Floats = np.full(n, np.nan)

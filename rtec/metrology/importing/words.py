@@ -1,4 +1,4 @@
-"""What the columns of foreign tables are called: words for roles in several languages, and units in names."""
+"""Names of columns in foreign tables: words for roles in several languages, and units in names."""
 
 import re
 from typing import Final
@@ -102,25 +102,25 @@ PLACES: Final = {
     "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale", "kühlmittel": "coolant",
 }  # fmt: skip
 PLACE_WORDS: Final = PLACES.keys() | set(PLACES.values())
-# Letters that mean much else: no units without brackets.
+# Letters with other common meanings: units only in brackets.
 NOT_BARE: Final = frozenset({"f", "d", "t", "g", "1", "'", '"', "in", "h"})
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name, small: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll."""
+    """The words of a name in lower case: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll."""
     bare = re.sub(r"([\[(][^\])]*[\])]|\sin\s+\S+)\s*$", "", name)
     apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
     return [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
 
 
 def has(name: str, role: str) -> bool:
-    """Is a word for this role in the name? One letter alone is a word for time, not `t_nut`."""
+    """Whether the name has a word for this role; a single letter means time only if it is alone, unlike `t_nut`."""
     words = words_of(name)
     return any(w in WORDS[role] and (len(w) > 1 or len(words) == 1) for w in words)
 
 
 def is_nominal(name: str) -> bool:
-    """Is the name that of a commanded position, and nothing else: `Soll X`, not `bed_target`?"""
+    """Whether the name means a commanded position and nothing else: `Soll X`, not `bed_target`."""
     words = words_of(name)
     known = WORDS["nominal"] | {"axis", "achse", "x", "y", "z", "u", "v", "w"}
     return bool(words) and all(w in known for w in words)
@@ -143,12 +143,12 @@ def bare_unit(name: str) -> str:
 
 
 def is_place(word: str) -> bool:
-    """Is it a T and where it was measured, in one word: `tnut`?"""
+    """Whether a word is a T with the place of a temperature, like `tnut`."""
     return word.startswith("t") and word[1:] in PLACE_WORDS
 
 
 def sensor_name(name: str) -> str:
-    """A name of a sensor made from that of a column: `Mutter [°C]` gives T_nut."""
+    """Name of a sensor from that of a column: `Mutter [°C]` gives T_nut."""
     words = [w for w in words_of(name) if w not in WORDS["temperature"] and w not in ("t", "deg", "c", "f", "k")]
     words = [w[1:] if re.fullmatch(r"t\d+", w) or is_place(w) else w for w in words]
     plain = "_".join(PLACES.get(w, w) for w in words)
@@ -157,7 +157,7 @@ def sensor_name(name: str) -> str:
 
 
 def sensors_like(name: str, sensors: tuple[str, ...]) -> tuple[str, ...]:
-    """The sensors of a machine that a column's name can mean: that of its name, else those that hold all its words."""
+    """Sensors that a column's name can mean: the one of its name, else those whose names have all its words."""
     words = sensor_name(name).removeprefix("T_").split("_")
     of = {s: [w.lower() for w in re.split(r"[^A-Za-z0-9]+", s.removeprefix("T_")) if w] for s in sensors}
     if exact := sensor_called(name, sensors):
@@ -166,6 +166,6 @@ def sensors_like(name: str, sensors: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def sensor_called(name: str, sensors: tuple[str, ...]) -> str:
-    """The sensor of exactly this name, or of the name made from it; empty where there is none."""
+    """The sensor of exactly this name, or of the name derived from it; empty where there is none."""
     same = {s.lower(): s for s in sensors}
     return same.get(name.lower().strip()) or same.get(sensor_name(name).lower(), "")

@@ -1,13 +1,13 @@
-"""Instruments whose lever arms are affine in the axis positions, and the parts that they are made of.
+"""Instruments whose lever arms are affine in the axis positions, and their building blocks.
 
-The chain's arms are affine, `J(q) = J0 + Σ_a J_a q_a`; an instrument that looks in a fixed direction at a point that
-goes with the tool, or at a turn, keeps them so. Its arms are one small array (readings, components, 1 + axes), worked
-out once; a million poses cost one product.
+The chain's arms are affine, `J(q) = J0 + Σ_a J_a q_a`. They stay affine for an instrument that measures, in a fixed
+direction, a point that moves with the tool, or a rotation. Its arms are one small array (readings, components, 1 +
+axes), computed once; a million poses cost one product.
 
-Two things can be looked at, both of the tool relative to the workpiece, in machine coordinates:
+There are two measurands, both of the tool relative to the workpiece, in machine coordinates:
 
-- `point`: where a point beside the tool tip is, µm. It moves as `e(tip) + ε × offset`: the Abbe arm.
-- `turn`: how the tool is turned about a machine direction, µrad, right-handed.
+- `point`: displacement of a point beside the tool tip, µm: `e(tip) + ε × offset`, the Abbe arm.
+- `turn`: rotation of the tool about a machine direction, µrad, right-handed.
 """
 
 from abc import abstractmethod
@@ -33,14 +33,14 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class AffineInstrument(Instrument):
-    """An instrument with a fixed direction of view."""
+    """An instrument with a fixed measuring direction."""
 
     @abstractmethod
     def looks(self, machine: Machine) -> Floats:
         """Arms as an affine function of the pose, (readings, components, 1 + axes); first the constant part."""
 
     def affine(self, machine: Machine) -> Floats:
-        """As `looks`; a component that is read directly has the arm 1, all others 0."""
+        """As `looks`; for a component that is read directly the arm is 1, all others are 0."""
         return self.looks(machine) if self.component is None else component_itself(machine, self.component)
 
     def arms(self, machine: Machine, pose_mm: Floats) -> Floats:
@@ -64,21 +64,21 @@ def point(machine: Machine, direction: Letter, offset_mm: Vector = ORIGIN) -> Fl
 
 
 def turn(machine: Machine, about: Turn) -> Floats:
-    """Arms of the turn of the tool relative to the workpiece, (components, 1 + axes); µrad per µrad."""
+    """Arms of the rotation of the tool relative to the workpiece, (components, 1 + axes); µrad per µrad."""
     out = np.zeros(machine.chain.terms.shape[1:])
     out[:, 0] = machine.chain.turns["ABC".index(about)]
     return out
 
 
 def component_itself(machine: Machine, component: str) -> Floats:
-    """Arms of a component that is read as it is, (1, components, 1 + axes)."""
+    """Arms of a component that is read directly, (1, components, 1 + axes)."""
     out = np.zeros((1, *machine.chain.terms.shape[1:]))
     out[0, component_index(machine, component, "component"), 0] = 1.0
     return out
 
 
 def zero(n: int, readings: int, scope: Scope, unit: str, names: tuple[str, ...] = ("zero",)) -> tuple[Nuisance, ...]:
-    """Zero of each reading: an unknown constant; `names` one a reading."""
+    """Zero of each reading: an unknown constant; `names` has one name a reading."""
     if scope == "none":
         return ()
     return tuple(Nuisance(name, unit, _only(i, readings, np.ones(n)), scope) for i, name in enumerate(names))

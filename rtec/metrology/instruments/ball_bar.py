@@ -7,9 +7,9 @@ Geometry, all in mm in machine coordinates, of the tool relative to the workpiec
     reading = |r + e| - |r|       exactly; |r| = L0 = √(radius² + height²) on the circle
             = u · e + (e² - (u · e)²) / 2L0 …   with u = r / |r|
 
-The first term is the linear functional: its arms are `u · J(pose)`, and the characteristic functions of [BB Table 1]
-are what comes out of it. The rest is 0.3 nm for an error of 10 µm across a bar of 150 mm. Turning either ball's carrier
-about the other ball changes no distance, so it does not matter on which side of the chain a rotation sits.
+The first term is the linear functional: its arms are `u · J(pose)`, and it gives the characteristic functions of
+[BB Table 1]. The rest is 0.3 nm for an error of 10 µm across a bar of 150 mm. A rotation of either ball's carrier about
+the other ball changes no distance, so that the side of the chain on which a rotation occurs does not matter.
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ from rtec.quantities import Degrees, Millimetres, MillimetresPerMinute, Millimet
 Positive = Annotated[float, Field(gt=0)]
 Plane = Literal["XY", "YZ", "ZX", "XZ"]
 JUST_BEFORE_RAD = 1e-6
-"""An axis that stands exactly at its turning point still has the direction in which it came."""
+"""Angle before a turning point at which the direction is taken: at the point itself the axis keeps its last one."""
 COVERED_DEG = 1.0
-"""Of two ways to count turns that cover the arc equally well but for this, the one that fits the overshoot is right."""
+"""If two counts of turns cover the arc equally well within this, the one that fits the overshoot is chosen."""
 
 
 TURN_DEG = 360.0
@@ -39,21 +39,21 @@ class BallBarSetup(InstrumentSetup):
     """`[setup]` of a ball bar.
 
     Attributes:
-        plane: of the circle; angles count from the first letter's direction towards the second's.
-        centre_mm: machine coordinates of the circle's centre, where the axes are commanded.
-        radius_mm: of the programmed circle.
-        height_mm: of the table-side ball's centre over the circle's plane, along the third machine direction; the
-            length of the bar is then √(radius² + height²).
-        height_uncertainty_mm: standard uncertainty of that height; `rtec ballbar` finds the height of each test with
-            it as what is known before. 0: it is exact.
+        plane: plane of the circle; angles count from the first letter's direction towards the second's.
+        centre_mm: commanded machine coordinates of the circle's centre.
+        radius_mm: radius of the programmed circle.
+        height_mm: height of the table-side ball's centre over the circle's plane, along the third machine direction;
+            the length of the bar is then √(radius² + height²).
+        height_uncertainty_mm: standard uncertainty of that height; `rtec ballbar` estimates the height of each test
+            with it as the prior. 0: the height is exact.
         direction: "ccw" runs from the first letter towards the second.
-        feed_mm_min: along the circle.
+        feed_mm_min: feed along the circle.
         start_deg: angle at which the measured arc begins.
         arc_deg: length of the measured arc.
-        overshoot_deg: run before and after the arc at full feed; these readings are left out of analyses.
-        offset_mm: from the tool tip to the ball at the tool.
-        zero: is the bar's length unknown? "none": it was calibrated on its reference.
-        centre: is the table-side ball off the centre by an unknown amount? Once, in every run, or not.
+        overshoot_deg: motion before and after the arc at full feed; analyses do not use these readings.
+        offset_mm: vector from the tool tip to the ball at the tool.
+        zero: how often the bar's length is unknown: once, or in every run. "none": it was calibrated on its reference.
+        centre: how often the table-side ball is off the centre by an unknown amount: once, in every run, or not at all.
     """
 
     plane: Plane
@@ -78,7 +78,7 @@ class BallBarSetup(InstrumentSetup):
 
     @property
     def rows(self) -> tuple[int, int, int]:
-        """The same as places in a vector."""
+        """Indices of these directions in a vector."""
         first, second, third = ("XYZ".index(d) for d in self.letters)
         return first, second, third
 
@@ -109,28 +109,28 @@ class BallBar(Instrument):
         return ("reading_um",)
 
     def on_arc_deg(self, angle_deg: Floats) -> Floats:
-        """Angles on the circle, by whole turns so that each is within half a turn of the middle of the arc, (n,)."""
+        """Angles on the circle, shifted by whole turns to within half a turn of the middle of the arc, (n,)."""
         middle = (self.setup.start_deg + 0.5 * self.setup.sense * self.setup.arc_deg) % TURN_DEG
         return np.asarray(middle + (angle_deg - middle + 0.5 * TURN_DEG) % TURN_DEG - 0.5 * TURN_DEG)
 
     def bar_mm(self, machine: Machine, pose_mm: Floats) -> Floats:
-        """From the ball on the table to the ball at the tool, nominally, (n, 3)."""
+        """Nominal vector from the ball on the table to the ball at the tool, mm, (n, 3)."""
         out = np.zeros((len(pose_mm), 3))
         for i, axis in enumerate(machine.axes):
             out[:, "XYZ".index(axis.direction)] += pose_mm[:, i]
         out -= np.asarray(self.setup.centre_mm)
         third = self.setup.rows[2]
         if not any(a.direction == "XYZ"[third] for a in machine.axes):
-            out[:, third] = 0.0  # nothing moves there: the circle's plane is where it is
+            out[:, third] = 0.0  # no axis moves along this direction
         out[:, third] -= self.setup.height_mm
         return out
 
     def exact_um(self, machine: Machine, pose_mm: Floats, tip_um: Floats) -> Floats:
-        """Reading for any error of the ball at the tool relative to the workpiece, nothing neglected, (1, n).
+        """Exact reading for an error of the ball at the tool relative to the workpiece, µm, (1, n).
 
         Args:
-            machine: whose axes move.
-            pose_mm: commanded, (n, axes).
+            machine: the measured machine.
+            pose_mm: commanded positions, (n, axes).
             tip_um: error of that ball, (n, 3), in machine coordinates.
         """
         bar, error = self.bar_mm(machine, pose_mm), np.asarray(tip_um) * 1e-3
@@ -153,10 +153,10 @@ class BallBar(Instrument):
         return np.asarray(out, dtype=np.float64)[None]
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
-        """Zero of the length, and how far the table-side ball is from its place in the plane and in its height.
+        """Zero of the length, and the offset of the table-side ball in the plane and in its height.
 
-        A circle about a ball of another height is longer or shorter all round, as one of another length is: where the
-        zero is unknown it takes the height.
+        A different height of the ball changes all readings equally, as a different length of the bar does: an unknown
+        zero therefore includes the height.
         """
         del run
         out = list(zero(len(state), 1, self.setup.zero, "um"))
@@ -187,16 +187,16 @@ class BallBar(Instrument):
 
 
 def axis_along(machine: Machine, direction: str) -> Axis | None:
-    """The axis that moves in a machine direction: of several the one that is compensated; None where there is none."""
+    """The axis along a machine direction, of several the compensated one; None where there is none."""
     found = [a for a in machine.axes if a.direction == direction]
     return next((a for a in found if a.compensate), found[0] if found else None)
 
 
 def circle_channels(machine: Machine, setup: BallBarSetup, angle_rad: Floats) -> dict[str, Floats]:
-    """Everything that a circle says about the axes, by channel name, (n,) each.
+    """Channels of the axes on a circle, by name, (n,) each.
 
-    Positions, mm; last direction of motion; velocity, mm/s, and acceleration, mm/s², at the programmed feed. An axis
-    beside the one that makes a direction stands at zero.
+    Positions, mm; last direction of motion; velocity, mm/s, and acceleration, mm/s², at the programmed feed. Further
+    axes along the same direction are at zero.
     """
     first, second = np.cos(angle_rad), np.sin(angle_rad)
     before = angle_rad - setup.sense * JUST_BEFORE_RAD
@@ -221,11 +221,11 @@ def circle_channels(machine: Machine, setup: BallBarSetup, angle_rad: Floats) ->
 
 
 def travelled_deg(setup: BallBarSetup, angle_deg: Floats, run: Ints) -> Floats:
-    """How far along the circle each reading is from the start of the arc, degrees, (n,), run by run.
+    """Angle of each reading from the start of the arc, degrees, (n,), run by run.
 
-    Below zero before the arc, beyond `arc_deg` after it; angles may start again at 360 or go on. Of the whole turns
-    that a recording can be off, those are taken with which it covers the arc; of several, those with which it begins
-    nearest to the overshoot that the set-up names.
+    Negative before the arc, above `arc_deg` after it; recorded angles may restart at 360 or continue. Whole turns are
+    added so that a recording covers the arc; if several numbers of turns do, the one whose start is nearest to the
+    overshoot of the set-up.
     """
     out = np.empty(len(angle_deg))
     for number in np.unique(run):

@@ -1,10 +1,10 @@
-"""What an instrument is: a linear functional of the model, and what it cannot know (seam 5 of the architecture).
+"""An instrument: a linear functional of the model, with nuisance parameters (seam 5 of the architecture).
 
     reading = H(instrument, pose) · component errors + nuisance
 
-`arms` gives `H · J`: how much each component error, µm or µrad, moves each reading, µm or µrad; `arms_of` gives the
-same for one component at a time, which is light in memory. All errors are of the tool relative to the workpiece; a
-reading is actual minus nominal.
+`arms` gives `H · J`: the change of each reading, µm or µrad, for one unit of each component error, µm or µrad;
+`arms_of` gives the same for one component, which needs less memory. All errors are of the tool relative to the
+workpiece; a reading is actual minus nominal.
 """
 
 from abc import ABC, abstractmethod
@@ -23,7 +23,7 @@ from rtec.tomlfile import Strict, nearest
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 BLOCK = 16384
-"""Poses worked on at a time by `Instrument.arms_of`."""
+"""Number of poses in a block of `Instrument.arms_of`."""
 
 
 class InstrumentSetup(Strict):
@@ -32,13 +32,13 @@ class InstrumentSetup(Strict):
 
 @dataclass(frozen=True)
 class Nuisance:
-    """Something in a reading that no machine error explains and that the fit must find along with it.
+    """A nuisance parameter: a part of the readings that is no machine error and that the fit must estimate.
 
     Attributes:
-        name: in the field's words: "zero", "slope", "cosine".
-        unit: of its coefficient.
-        values: what one unit adds to each reading, (readings, n).
-        per: "run": another value for each run; "setup": one for the whole measurement.
+        name: in the field's terms: "zero", "slope", "cosine".
+        unit: unit of its coefficient.
+        values: contribution of one unit to each reading, (readings, n).
+        per: "run": one coefficient for each run; "setup": one for the whole measurement.
     """
 
     name: str
@@ -53,13 +53,13 @@ class Instrument(ABC):
 
     Attributes:
         name, title: in files, and for people.
-        setup_model: what `[setup]` may hold.
-        axis_use: must an axis be named, may it, or has the instrument none?
-        direct: unit of a component that it may read directly; None where it can't.
-        at_rest: its readings are taken while the axes stand still, unless their velocities are recorded.
+        setup_model: model of the `[setup]` table.
+        axis_use: whether an axis is required, allowed, or not allowed.
+        direct: unit of a component that it may read directly; None where it cannot.
+        at_rest: it reads while the axes are at rest, unless their velocities are recorded.
         setup: the `[setup]` table.
-        axis: axis that it follows, where it has one.
-        component: component that it reads directly, where it does.
+        axis: axis that it follows, if any.
+        component: component that it reads directly, if any.
     """
 
     name: ClassVar[str]
@@ -79,19 +79,19 @@ class Instrument(ABC):
 
     @abstractmethod
     def arms(self, machine: Machine, pose_mm: Floats) -> Floats:
-        """How each component error moves each reading, (readings, n, components).
+        """Change of each reading for one unit of each component error, (readings, n, components).
 
         Args:
-            machine: whose chain is used.
-            pose_mm: (n, axes).
+            machine: its chain is used.
+            pose_mm: axis positions, (n, axes).
         """
 
     def arms_of(self, machine: Machine, pose_mm: Floats, component: str) -> Floats:
-        """How one component error moves each reading, (readings, n): that column of `arms`, block by block.
+        """Change of each reading for one unit of a component error, (readings, n): that column of `arms`, in blocks.
 
         Args:
-            machine: whose chain is used.
-            pose_mm: (n, axes).
+            machine: its chain is used.
+            pose_mm: axis positions, (n, axes).
             component: its name, for example "EXX".
 
         Raises:
@@ -106,10 +106,10 @@ class Instrument(ABC):
 
     @abstractmethod
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
-        """What the instrument cannot know."""
+        """Nuisance parameters of the readings; `run` is the run number of each row, (n,)."""
 
     def reads_while(self, axis: str | None) -> tuple[bool, ...]:
-        """Which of the readings are taken while an axis travels (None: at standstill); the others stay empty."""
+        """Whether each reading is taken while an axis travels (None: at standstill); the others stay empty."""
         del axis
         return (True,) * len(self.columns())
 
@@ -120,7 +120,7 @@ class Instrument(ABC):
             raise MeasurementError("\n".join(faults))
 
     def faults(self, machine: Machine) -> list[str]:
-        """What in the set-up does not fit the machine, in words."""
+        """Faults of the set-up on the machine, in words."""
         del machine
         return []
 

@@ -1,7 +1,7 @@
 """Grid encoder (2D digital scale, cross grid): two coordinates of the tool tip over a grid plate on the table [XT].
 
-The plate lies in a machine plane only approximately: it is off by an unknown amount in both directions and turned by an
-unknown angle in its plane. Both are nuisances. Squareness is what is left: a turn of the plate turns both axes alike.
+The plate is aligned to a machine plane only approximately: its offset in both directions and its rotation in the plane
+are unknown. Both are nuisance parameters. Squareness is not affected: a rotation of the plate turns both axes alike.
 """
 
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ class GridEncoderSetup(InstrumentSetup):
     """`[setup]` of a grid encoder.
 
     Attributes:
-        plane: that the plate lies in.
+        plane: plane of the plate.
         origin_mm: machine coordinates of the plate's middle.
-        offset_mm: from the tool tip to where the head reads.
-        zero: of both readings; once, or in every run.
-        alignment: the plate's turn in its plane; once, or in every run.
-        accuracy_um: the plate's own error, plus or minus, over its range; it enters every stated uncertainty.
-        plate: name or number of the plate. Between two set-ups with the same one, over the same part of it and lying
-            the same way round, its own error falls out. Empty: not known.
+        offset_mm: vector from the tool tip to the reading point of the head.
+        zero: zero of both readings; once, or in every run.
+        alignment: rotation of the plate in its plane; once, or in every run.
+        accuracy_um: the plate's own error, plus or minus, over its range; it is part of every stated uncertainty.
+        plate: name or number of the plate. Between two set-ups with the same part of the same plate in the same
+            orientation, its own error cancels. Empty: not known.
     """
 
     plane: Literal["XY", "YZ", "XZ"]
@@ -52,7 +52,7 @@ class GridEncoderSetup(InstrumentSetup):
 
 @dataclass(frozen=True)
 class GridEncoder(AffineInstrument):
-    """Deviation of the tool tip from where it is commanded, in the two directions of a plane, µm."""
+    """Deviation of the tool tip from its commanded position, in the two directions of a plane, µm."""
 
     name = "grid_encoder"
     title = "Grid encoder, 2D digital scale"
@@ -62,15 +62,15 @@ class GridEncoder(AffineInstrument):
     setup: GridEncoderSetup
 
     def columns(self) -> tuple[str, ...]:
-        """One a direction of the plane."""
+        """One reading a direction of the plane."""
         return tuple(f"reading_{d.lower()}_um" for d in self.setup.letters)
 
     def looks(self, machine: Machine) -> Floats:
-        """The head's place in both directions."""
+        """The head's point in both directions."""
         return np.stack([point(machine, d, self.setup.offset_mm) for d in self.setup.letters])
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
-        """Zeros, and the plate's turn: turned by φ about the plane's normal it reads `-φ n × (p - origin)`."""
+        """Zeros, and the plate's rotation: rotated by φ about the plane's normal it reads `-φ n × (p - origin)`."""
         del run
         names = tuple(f"zero {d}" for d in self.setup.letters)
         out = list(zero(len(state), 2, self.setup.zero, "um", names))
@@ -84,7 +84,7 @@ class GridEncoder(AffineInstrument):
         return tuple(out)
 
     def faults(self, machine: Machine) -> list[str]:
-        """No axis moves in the plane at all."""
+        """A plane in which no axis moves."""
         moved = {a.direction for a in machine.axes}
         if moved.isdisjoint(self.setup.letters):
             return [f"[setup] plane {self.setup.plane!r}: no axis of machine {machine.name!r} moves in it"]

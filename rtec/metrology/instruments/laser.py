@@ -1,8 +1,8 @@
 """Laser interferometer: linear (retroreflector) and angular (two retroreflectors on an arm).
 
-The optics that move go with the tool, the others stand on the workpiece's side; the reading is the same when they are
-exchanged, because only the motion of one relative to the other is read. A retroreflector reads where its centre is,
-whatever its own turn, and nothing across the beam.
+The moving optics are on the tool side, the others on the workpiece side. If they are exchanged, the reading is the
+same, as only their relative motion counts. A retroreflector reads the position of its centre along the beam, whatever
+its own rotation.
 """
 
 from dataclasses import dataclass
@@ -30,13 +30,13 @@ class LaserLinearSetup(InstrumentSetup):
     """`[setup]` of a linear laser.
 
     Attributes:
-        beam_offset_mm: from the tool tip to the retroreflector; across the beam this is the Abbe arm.
-        zero: is the display zeroed once, or at the start of every run?
-        slope: is an unknown slope (cosine error, air index) to be found with the fit? Whoever asks for it gives up
-            the machine's own scale error.
+        beam_offset_mm: vector from the tool tip to the retroreflector; across the beam this is the Abbe arm.
+        zero: when the display is zeroed: once, or at the start of every run.
+        slope: whether the fit estimates an unknown slope (cosine error, air index). The machine's own scale error is
+            then not determined.
         air_sensor: temperature sensor in the air of the beam, where the air's index was not corrected.
         interferometer_mm: position of the axis at which the beam would have no length; needed with `air_sensor`. It
-            lies outside the range of the targets by the dead path.
+            is outside the range of the targets by the dead path.
     """
 
     beam_offset_mm: Vector = ORIGIN
@@ -48,7 +48,7 @@ class LaserLinearSetup(InstrumentSetup):
 
 @dataclass(frozen=True)
 class LaserLinear(AffineInstrument):
-    """Distance along an axis, µm; positive as the axis is programmed positive."""
+    """Distance along an axis, µm; positive in the axis' programmed positive direction."""
 
     name = "laser_linear"
     title = "Laser interferometer, linear"
@@ -78,7 +78,7 @@ class LaserLinear(AffineInstrument):
         return tuple(out)
 
     def faults(self, machine: Machine) -> list[str]:
-        """A sensor that is not there; air without the beam's length; slope or air without an axis."""
+        """A missing sensor; air without the beam's length; slope or air without an axis."""
         out = []
         sensor = self.setup.air_sensor
         if sensor is not None and sensor not in machine.sensor_names:
@@ -95,9 +95,9 @@ class LaserAngularSetup(InstrumentSetup):
     """`[setup]` of an angular laser.
 
     Attributes:
-        about: the turn that it reads, A B C about X Y Z; needed unless a component is named.
-        sign: -1 where the display counts against the right hand.
-        zero: is the display zeroed once, or at the start of every run?
+        about: the rotation that it reads, A B C about X Y Z; needed unless a component is named.
+        sign: -1 where the display counts against the right-hand rule.
+        zero: when the display is zeroed: once, or at the start of every run.
     """
 
     about: Turn | None = None
@@ -107,7 +107,7 @@ class LaserAngularSetup(InstrumentSetup):
 
 @dataclass(frozen=True)
 class LaserAngular(AffineInstrument):
-    """Turn of the tool relative to the workpiece about a direction across the beam, µrad, right-handed."""
+    """Rotation of the tool relative to the workpiece about a direction across the beam, µrad, right-handed."""
 
     name = "laser_angular"
     title = "Laser interferometer, angular"
@@ -125,7 +125,7 @@ class LaserAngular(AffineInstrument):
         return self.setup.sign * super().affine(machine)
 
     def looks(self, machine: Machine) -> Floats:
-        """The turn."""
+        """The rotation."""
         return turn(machine, self.setup.about or "A")[None]
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
@@ -134,7 +134,7 @@ class LaserAngular(AffineInstrument):
         return zero(len(state), 1, self.setup.zero, "urad")
 
     def faults(self, machine: Machine) -> list[str]:
-        """No turn named, or roll, which an angular laser can't see."""
+        """No rotation named, or roll, which an angular laser cannot read."""
         if self.component is not None or self.axis not in machine.axis_names:
             return []
         if self.setup.about is None:

@@ -15,12 +15,12 @@ class LevelSetup(InstrumentSetup):
     """`[setup]` of a level.
 
     Attributes:
-        about: the turn that it reads, A B C about X Y Z; needed unless a component is named.
-        on: "both": a level at the tool minus a level at the workpiece, as ISO 230-1 asks for; "tool" or "work": one
-            level alone, which sees the links of its own side only.
-        vertical: the machine's vertical direction; a turn about it can't be seen.
-        sign: -1 where the display counts against the right hand.
-        zero: once, or in every run.
+        about: the rotation that it reads, A B C about X Y Z; needed unless a component is named.
+        on: "both": a level at the tool minus a level at the workpiece, as ISO 230-1 requires; "tool" or "work": one
+            level alone, which reads the links of its own side only.
+        vertical: the machine's vertical direction; a level does not read a rotation about it.
+        sign: -1 where the display counts against the right-hand rule.
+        zero: unknown zero; once, or in every run.
     """
 
     about: Turn | None = None
@@ -32,7 +32,7 @@ class LevelSetup(InstrumentSetup):
 
 @dataclass(frozen=True)
 class Level(AffineInstrument):
-    """Tilt, µrad, right-handed about the direction named; of the tool relative to the workpiece, or of one side."""
+    """Tilt, µrad, right-handed about the named direction; of the tool relative to the workpiece, or of one side."""
 
     name = "level"
     title = "Electronic level"
@@ -49,10 +49,10 @@ class Level(AffineInstrument):
         return self.setup.sign * super().affine(machine)
 
     def looks(self, machine: Machine) -> Floats:
-        """The turn of the side that carries the level.
+        """The rotation of the side that carries the level.
 
-        A component of a work-side axis is that of the tool relative to the workpiece, so a level on the table alone
-        reads its negative.
+        A component of a work-side axis is defined as of the tool relative to the workpiece, so that a level on the
+        table alone reads its negative.
         """
         out = turn(machine, self.setup.about or "A")
         if self.setup.on == "both":
@@ -69,7 +69,7 @@ class Level(AffineInstrument):
         return zero(len(state), 1, self.setup.zero, "urad")
 
     def faults(self, machine: Machine) -> list[str]:
-        """No turn named, or one about the vertical."""
+        """No rotation named, or one about the vertical."""
         del machine
         if self.component is not None:
             return []

@@ -1,4 +1,4 @@
-"""The registry: every instrument by name, literally."""
+"""The registry: a table of every instrument by name."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -39,19 +39,18 @@ def make_instrument(
     machine: Machine,
     where: str,
 ) -> Instrument:
-    """Give an instrument set up on a machine.
+    """Make an instrument with its set-up on a machine.
 
     Args:
         name: key of `INSTRUMENTS`.
         setup_table: `[setup]` of the measurement's file.
-        axis: that it follows; None where it has none.
-        component: that it reads directly; None where it reads a point or a turn through the chain.
-        machine: that it stands on.
-        where: file or option that says so, for messages.
+        axis: axis that it follows, or None.
+        component: component that it reads directly; None where it reads a point or a rotation through the chain.
+        machine: the measured machine.
+        where: file or option with the set-up, for messages.
 
     Raises:
-        MeasurementError: no such instrument, an unknown key (with the nearest one), or something that the machine
-            does not have.
+        MeasurementError: the instrument or a key is unknown (with the nearest one), or the machine lacks something.
     """
     if name not in INSTRUMENTS:
         raise MeasurementError(f"{where}: [measurement] no instrument {name!r}{nearest(name, INSTRUMENTS)}")

@@ -1,7 +1,7 @@
-"""Spindle drift probes [G 3.5, ISO 230-3]: how the tool wanders from the workpiece while nothing moves.
+"""Spindle drift probes [G 3.5, ISO 230-3]: drift of the tool relative to the workpiece while the axes are at rest.
 
-Each probe is a point beside the tool tip and a direction, so radial pair, axial probe and the five probes of
-ISO 230-3 are one instrument; tilt is the difference of two radial probes over their distance.
+Each probe is a point beside the tool tip and a direction. Radial pair, axial probe and the five probes of ISO 230-3 are
+therefore one instrument; tilt is the difference of two radial probes over their distance.
 """
 
 import re
@@ -25,8 +25,8 @@ class Probe(Strict):
     """One probe.
 
     Attributes:
-        direction: that it reads along.
-        offset_mm: from the tool tip to where it touches.
+        direction: direction of the reading.
+        offset_mm: vector from the tool tip to the point of contact.
         sign: +1: reads positive as the tool moves in `direction` relative to the workpiece; -1: the other way.
     """
 
@@ -39,8 +39,8 @@ class SpindleDriftSetup(InstrumentSetup):
     """`[setup]` of drift probes.
 
     Attributes:
-        probe: by name; the column of probe `radial1` is `reading_radial1_um`.
-        zero: of each probe; once, or in every run.
+        probe: probes by name; the column of probe `radial1` is `reading_radial1_um`.
+        zero: zero of each probe; once, or in every run.
     """
 
     probe: Annotated[dict[str, Probe], Field(min_length=1)]
@@ -48,7 +48,7 @@ class SpindleDriftSetup(InstrumentSetup):
 
     @property
     def distance_mm(self) -> float | None:
-        """Distance from probe `radial2` to `radial1`; None where there are no such two."""
+        """Distance from probe `radial2` to `radial1`; None where one of them is missing."""
         if not {"radial1", "radial2"} <= set(self.probe):
             return None
         first, second = (np.array(self.probe[name].offset_mm) for name in ("radial1", "radial2"))
@@ -66,7 +66,7 @@ class SpindleDrift(AffineInstrument):
     setup: SpindleDriftSetup
 
     def columns(self) -> tuple[str, ...]:
-        """One a probe, in the order of the set-up."""
+        """One reading a probe, in the order of the set-up."""
         return tuple(f"reading_{name}_um" for name in self.setup.probe)
 
     def looks(self, machine: Machine) -> Floats:
@@ -81,7 +81,7 @@ class SpindleDrift(AffineInstrument):
         return zero(len(state), len(names), self.setup.zero, "um", names)
 
     def faults(self, machine: Machine) -> list[str]:
-        """Names that make no column; two probes that cannot tell a tilt."""
+        """Names that give no column; two probes that do not determine a tilt."""
         del machine
         out = [
             f"[setup.probe.{name}] a probe's name is small letters and digits, and starts with a letter"

@@ -1,8 +1,8 @@
 """Squareness of two axes against a square.
 
-One arm of the square is read while one axis travels, the other arm while the other does; in rows of the one the cell
-of the other reading stays empty. How the square lies on the table is not known: a common turn of both arms, found with
-the fit. A squareness that is known as one number (from a report) is read directly: `component = "EC0Y"`.
+One arm of the square is read while one axis travels, the other arm while the other one does; in rows of one arm the
+cell of the other reading stays empty. The orientation of the square on the table is unknown: the fit estimates a common
+rotation of both arms. A squareness that is known as one number (from a report) is read directly: `component = "EC0Y"`.
 """
 
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ class SquarenessSetup(InstrumentSetup):
 
     Attributes:
         reference_axis: the other axis, whose arm of the square is the reference.
-        probe_offset_mm: from the tool tip to where the probe touches.
-        reversed_runs: runs with the square turned over about its reference arm; its own error of angle, then a
-            nuisance too, changes sign in them. Without any, the square is taken as right (correct the readings by
-            its certificate first).
-        zero: of each arm; once, or in every run.
+        probe_offset_mm: vector from the tool tip to the probe's point of contact.
+        reversed_runs: runs with the square turned over about its reference arm; the square's own angular error, then a
+            nuisance parameter too, changes sign in them. Without any, the square is taken as exact (correct the
+            readings by its certificate first).
+        zero: zero of each arm; once, or in every run.
     """
 
     reference_axis: str | None = None
@@ -56,13 +56,13 @@ class SquarenessProbe(AffineInstrument):
     setup: SquarenessSetup
 
     def columns(self) -> tuple[str, ...]:
-        """The two directions in the order X Y Z of the axes' names; one angle where a component is read."""
+        """One reading for each of the two directions, in the order of X Y Z; one angle where a component is read."""
         if self.component is not None:
             return ("reading_urad",)
         return tuple(f"reading_{a.lower()}_um" for a in self._axes())
 
     def reads_while(self, axis: str | None) -> tuple[bool, ...]:
-        """Along the one axis while the other travels."""
+        """The reading along one axis is taken while the other axis travels."""
         if self.component is not None:
             return (True,)
         return tuple(axis is None or a != axis for a in self._axes())
@@ -73,7 +73,7 @@ class SquarenessProbe(AffineInstrument):
         return np.stack([point(machine, d, self.setup.probe_offset_mm) for d in directions])
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
-        """Zero of each arm, how the square lies, and its own angle where it was turned over."""
+        """Zero of each arm, rotation of the square, and its own angular error where it was turned over."""
         if self.component is not None:
             return zero(len(state), 1, "none", "urad")
         machine, axes = state.machine, self._axes()
@@ -81,7 +81,7 @@ class SquarenessProbe(AffineInstrument):
         out = list(zero(len(state), 2, self.setup.zero, "um", names))
         lines = [np.eye(3)["XYZ".index(machine.axis(a).direction)] for a in axes]
         along_m = [from_middle_m(machine, state, a) for a in axes]
-        # Turning the square by φ about the normal moves its arms as φ × (along); the probe reads against them.
+        # A rotation φ of the square about the normal moves its arms by φ × (along), the reading by the negative.
         normal = np.cross(lines[0], lines[1])
         turned = np.stack(
             [

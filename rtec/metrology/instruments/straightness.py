@@ -1,8 +1,8 @@
-"""Straightness: a probe (or laser straightness optics) that goes along an artefact.
+"""Straightness: a probe (or laser straightness optics) that moves along an artefact.
 
-The artefact (straightedge, arbor, prism) stands on the workpiece's side, the probe goes with the tool; exchanged, the
-reading is the same. With the artefact turned over between runs its own form changes sign and the slide's does not
-([G 3.1-3.3]), so a fit tells them apart.
+The artefact (straightedge, arbor, prism) is on the workpiece side, the probe on the tool side; if they are exchanged,
+the reading is the same. If the artefact is turned over between runs, its own form changes sign and the slide's does not
+([G 3.1-3.3]), so that a fit separates them.
 """
 
 from dataclasses import dataclass
@@ -32,15 +32,15 @@ class StraightnessSetup(InstrumentSetup):
     """`[setup]` of a straightness measurement.
 
     Attributes:
-        direction: direction that is read, across the axis; needed unless a component is named.
-        probe_offset_mm: from the tool tip to where the probe touches.
+        direction: direction of the reading, across the axis; needed unless a component is named.
+        probe_offset_mm: vector from the tool tip to the probe's point of contact.
         sign: +1: reads positive as the tool moves in `direction` relative to the workpiece; -1: the other way.
-        reversed_runs: runs with the artefact turned over. `sign` is the same in them: a probe that changes sides
-            needs its readings turned back first (import with sign = -1).
-        artefact_degree: form of the artefact as a polynomial up to this degree, found with the fit; needs
+        reversed_runs: runs with the artefact turned over. `sign` is the same in them: the readings of a probe that
+            changes sides need the opposite sign first (import with sign = -1).
+        artefact_degree: the fit estimates the artefact's form as a polynomial up to this degree; needs
             `reversed_runs`. Without it the artefact is taken as straight.
-        zero: once, or in every run.
-        slope: the artefact's direction is not known exactly; once, or in every run.
+        zero: unknown zero; once, or in every run.
+        slope: unknown direction of the artefact; once, or in every run.
     """
 
     direction: Letter | None = None
@@ -90,7 +90,7 @@ class StraightnessProbe(AffineInstrument):
         return tuple(out)
 
     def faults(self, machine: Machine) -> list[str]:
-        """No direction, one along the axis, or an artefact that nothing separates from the slide."""
+        """No direction, one along the axis, or an artefact whose form is not separated from the slide's."""
         out = []
         if self.setup.artefact_degree is not None and not self.setup.reversed_runs:
             out.append(

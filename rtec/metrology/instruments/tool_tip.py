@@ -17,11 +17,11 @@ class ToolTipSetup(InstrumentSetup):
     """`[setup]` of tool-tip readings.
 
     Attributes:
-        offset_mm: from the tool tip to the target (reflector, stylus ball).
-        directions: which coordinates are read.
-        zero: of each coordinate; once, or in every run.
-        alignment: are three small turns of the instrument's frame against the machine's to be found with the fit?
-            Whoever asks for it gives up the squareness that looks like a turn.
+        offset_mm: vector from the tool tip to the target (reflector, stylus ball).
+        directions: coordinates that are read.
+        zero: zero of each coordinate; once, or in every run.
+        alignment: whether the fit estimates three small rotations of the instrument's frame relative to the machine's.
+            A squareness that equals a rotation is then not determined.
     """
 
     offset_mm: Vector = ORIGIN
@@ -48,15 +48,15 @@ class ToolTip(AffineInstrument):
     setup: ToolTipSetup
 
     def columns(self) -> tuple[str, ...]:
-        """One a coordinate."""
+        """One reading a coordinate."""
         return tuple(f"reading_{d.lower()}_um" for d in self.setup.directions)
 
     def looks(self, machine: Machine) -> Floats:
-        """The target's three coordinates, as far as they are read."""
+        """The target's coordinates that are read."""
         return np.stack([point(machine, d, self.setup.offset_mm) for d in self.setup.directions])
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
-        """Zero of each coordinate; turns of the frame where the set-up says so."""
+        """Zero of each coordinate; rotations of the frame with `alignment`."""
         del run
         names = tuple(f"zero {d}" for d in self.setup.directions)
         out = list(zero(len(state), len(names), self.setup.zero, "um", names))
@@ -70,7 +70,7 @@ class ToolTip(AffineInstrument):
         return tuple(out)
 
     def _target_mm(self, state: State) -> Floats:
-        """Where the target is nominally, relative to the workpiece, (n, 3)."""
+        """Nominal position of the target relative to the workpiece, mm, (n, 3)."""
         machine = state.machine
         out = np.zeros((len(state), 3))
         for i, axis in enumerate(machine.axes):

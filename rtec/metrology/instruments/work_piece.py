@@ -1,4 +1,4 @@
-"""A work piece measured after it was cut: each row is a feature and the pose at which its last pass was cut."""
+"""A work piece measured after cutting: each row is a feature and the pose at which its last pass was cut."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -15,8 +15,8 @@ class WorkPieceSetup(InstrumentSetup):
     Attributes:
         feature: "diameter" counts the error of the radius twice; "length" is from a datum on the same part.
         sign: +1: moving the tool in the axis' positive direction makes the feature larger; -1: smaller (a bore).
-        zero: of the sizes. By default "setup" for diameters (the tool's own size), "run" for lengths (a run is a
-            part, and its datum carries an error of its own).
+        zero: zero of the sizes. By default "setup" for diameters (the tool's own size), "run" for lengths (a run is a
+            part, whose datum has an error of its own).
     """
 
     feature: Literal["diameter", "length"]
@@ -26,7 +26,7 @@ class WorkPieceSetup(InstrumentSetup):
 
 @dataclass(frozen=True)
 class WorkPiece(AffineInstrument):
-    """Size of a feature minus its nominal size, µm; the axis is the one that makes the size."""
+    """Size of a feature minus its nominal size, µm; the axis is the one whose position determines the size."""
 
     name = "work_piece"
     title = "Work piece measured afterwards"

@@ -1,1 +1,1 @@
-"""Procedures of the guidelines [G 3]: pure functions from readings to figures, each with what it cannot know."""
+"""Procedures of the guidelines [G 3]: pure functions from readings to figures, each with its limits."""

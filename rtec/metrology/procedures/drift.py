@@ -1,11 +1,11 @@
 """Spindle thermal drift [G 3.5]: constant speed for hours, then off overnight, at several speeds.
 
-The record is cut into phases of constant speed; each phase is a first-order approach to a new state, `y = start +
+The record is divided into phases of constant speed; each phase is a first-order approach to a new state, `y = start +
 change · (1 - exp(-t/τ))`. Radial, axial, and tilt = (radial 1 - radial 2) / distance of the probes.
 
-For each τ of a grid start and change follow by linear least squares (variable projection); the interval of τ holds
-every value whose residual an F test does not refuse. Readings in a row are not independent, so they count as n /
-correlation time. Where one time constant leaves a shape in the residual, two are tried.
+For each τ of a grid, start and change follow by linear least squares (variable projection); the interval of τ has every
+value whose residual an F test does not reject. Consecutive readings are not independent, so that they count as n /
+correlation time. Where the residual of one time constant has a shape, two are fitted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,23 +24,23 @@ COVERS = 0.95
 POINTS = 241
 PAIR_POINTS = 60
 APART = 2.0
-"""Two time constants closer than this factor are one."""
+"""Two time constants whose ratio is smaller than this count as one."""
 SURE = 0.01
 SHAPE = 1.5
-"""A residual of more than this many times the noise of neighbours has a shape."""
+"""A residual has a shape if it is more than this many times the noise between neighbours."""
 LONGEST = 30.0
-"""τ is searched up to this many times the record: beyond it a curve is a straight line."""
+"""Largest τ of the search in lengths of the record: beyond it a curve is a straight line."""
 
 
 @dataclass(frozen=True)
 class TwoApproaches:
-    """Two approaches at once, the quick one first.
+    """The sum of two approaches, the faster one first.
 
     Attributes:
-        changes: of either.
+        changes: change of each.
         taus_s: time constants.
-        taus_se_s: their standard errors, as far as a parabola describes the fit.
-        start: at t = 0.
+        taus_se_s: their standard errors, if the sum of squares is quadratic in ln τ.
+        start: value at t = 0.
         rms: root mean square of the residual.
     """
 
@@ -58,20 +58,20 @@ class TwoApproaches:
 
 @dataclass(frozen=True)
 class Approach:
-    """A fitted approach; values in the unit of the readings, standard deviations at fixed τ excluded.
+    """A fitted approach; values in the unit of the readings.
 
     Attributes:
-        start: at t = 0.
-        change: from start to the end that it goes to.
+        start: value at t = 0.
+        change: final value minus start.
         tau_s: time constant.
-        tau_low_s, tau_high_s: 95 % interval; infinite above where a straight line does as well, zero below where a
-            step does.
+        tau_low_s, tau_high_s: 95 % interval; infinite above where a straight line fits as well, zero below where a step
+            does.
         reached: share of the change that was reached in the record.
         rms: root mean square of the residual.
-        noise: of a single reading, from neighbours.
-        effective: independent readings that the residual amounts to.
-        pair: two time constants, where they describe the readings better than one beyond chance; else None.
-        words: what is doubtful about it, or empty.
+        noise: noise of a single reading, from neighbours.
+        effective: number of independent readings.
+        pair: two time constants, where they fit significantly better than one; else None.
+        words: doubts about the fit, or empty.
     """
 
     start: float
@@ -98,10 +98,10 @@ def approach(time_s: Floats, reading: Floats) -> Approach:
     duration = float(time_s[-1] - time_s[0])
     step = float(np.median(np.diff(time_s)))
     grid = np.geomspace(0.3 * step, LONGEST * duration, POINTS)
-    left = _left(time_s, reading, grid)
+    left = _sum_of_squares(time_s, reading, grid)
     best = int(np.argmin(left))
     fine = np.geomspace(grid[max(best - 1, 0)], grid[min(best + 1, POINTS - 1)], POINTS)
-    tau = float(fine[int(np.argmin(_left(time_s, reading, fine)))])
+    tau = float(fine[int(np.argmin(_sum_of_squares(time_s, reading, fine)))])
     start, change = _linear(time_s, reading, tau)
     residual = reading - start + change * np.expm1(-time_s / tau)
     effective = len(reading) / correlation_time(residual)
@@ -116,7 +116,7 @@ def approach(time_s: Floats, reading: Floats) -> Approach:
 
 
 def _better_pair(time_s: Floats, reading: Floats, least: float) -> TwoApproaches | None:
-    """Two approaches if an F test takes them over one; time constants from the sampling to the length of the record."""
+    """Two approaches if an F test prefers them to one; time constants from the sampling to the length of the record."""
     from scipy.stats import f
 
     duration, step = float(time_s[-1] - time_s[0]), float(np.median(np.diff(time_s)))
@@ -146,7 +146,7 @@ def _better_pair(time_s: Floats, reading: Floats, least: float) -> TwoApproaches
 def _refined(
     time_s: Floats, reading: Floats, taus_s: Floats, bounds_s: tuple[float, float]
 ) -> tuple[SeparableFit, Floats]:
-    """Time constants from the least to the largest, at least `APART` apart, and the fit at them."""
+    """The fit with time constants within the bounds and at least a factor `APART` apart, and these, rising."""
     low, high = (float(np.log(b)) for b in bounds_s)
     apart = float(np.log(APART))
 
@@ -177,7 +177,7 @@ def _log_errors(time_s: Floats, fit: SeparableFit, taus_s: Floats) -> Floats:
         return np.full(2, np.inf)
 
 
-def _left(time_s: Floats, reading: Floats, taus: Floats) -> Floats:
+def _sum_of_squares(time_s: Floats, reading: Floats, taus: Floats) -> Floats:
     """Residual sum of squares for each τ, (τs,)."""
     curve = -np.expm1(-time_s / taus[:, None])
     curve = curve - curve.mean(axis=1, keepdims=True)
@@ -195,11 +195,11 @@ def _linear(time_s: Floats, reading: Floats, tau_s: float) -> tuple[float, float
 
 
 def _interval(grid: Floats, left: Floats, least: float, free: float) -> tuple[float, float]:
-    """Ends of the τ that the readings do not refuse."""
+    """Smallest and largest τ that the readings do not reject."""
     from scipy.stats import f
 
     inside = np.flatnonzero(left <= least * (1.0 + float(f.ppf(COVERS, 1, free)) / free) + 1e-12 * (least + 1e-12))
-    if not len(inside):  # the readings lie on the curve to the last digit
+    if not len(inside):  # the readings are on the curve to the last digit
         best = int(np.argmin(left))
         inside = np.array([best])
     low, high = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(grid) - 1)
@@ -221,7 +221,7 @@ def _words(rms: float, noise: float, low_s: float, high_s: float, spread: float)
 
 
 SAME_SPEED = 0.02
-"""Speeds closer than this share, or 10 rpm, are one phase."""
+"""Speeds that differ by less than this share, or by less than 10 rpm, are one phase."""
 LEAST_READINGS = 12
 LEAST_S = 1800.0
 
@@ -243,9 +243,9 @@ class PhaseFit:
 
     Attributes:
         phase: number of the phase, from 0.
-        measured: last reading minus the last one of the phase before (the first one's own first).
-        instant: start of the approach minus the last reading before; NaN in the first phase. A shift at once with the
-            speed (centrifugal, preload), not a thermal one.
+        measured: last reading minus the last one of the phase before (in the first phase, minus its first reading).
+        instant: start of the approach minus the last reading before; NaN in the first phase. An immediate shift with
+            the speed (centrifugal, preload), not a thermal one.
         approach: the fit; None where the phase is too short, see `why`.
         why: reason for that, in words.
     """
@@ -272,13 +272,13 @@ class Drift(Result):
     """Thermal drift of a spindle.
 
     Attributes:
-        name: of the file.
+        name: name of the file.
         time_h: (n,).
         rpm: (n,).
         phases, traces: in order; a trace has one fit a phase.
         temperatures_degc: by name, (n,).
-        words: what must be said with it.
-        notes: of the measurements, by name: what is missing in them, and what was accepted.
+        words: remarks on the result.
+        notes: notes of the measurements, by name: what is missing in them, and what was accepted.
     """
 
     page_maker: ClassVar[str] = "rtec.report.procedures:drift_page"
@@ -297,7 +297,7 @@ class Drift(Result):
         return self.own()
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """The phases of each trace, with the approach of each where there is one."""
+        """One row a phase of each trace, with its approach where there is one."""
         return [
             {"trace": t.name, "unit": t.unit, **asdict(self.phases[f.phase]), **asdict(f), **_numbers(f.approach)}
             for t in self.traces
@@ -336,10 +336,10 @@ def spindle_drift(
         rpm: spindle speed, (n,); NaN counts as the speed before.
         probes_um: by name, (n,); "radial1" and "radial2" give the tilt too. NaN where missing.
         distance_mm: between the radial probes; None: no tilt.
-        temperatures_degc: shown beside.
+        temperatures_degc: shown beside the drift; (n,) by name.
 
     Raises:
-        MeasurementError: too few rows, time not rising, or no probe.
+        MeasurementError: there are too few rows or no probe, or the time does not rise.
     """
     if not probes_um:
         raise MeasurementError(f"{name}: no probe was named")
@@ -393,7 +393,7 @@ def _phase_fit(time_s: Floats, values: Floats, phases: Sequence[SpeedPhase], k: 
     duration_s = float(time_s[rows[-1]] - time_s[rows[0]])
     if len(rows) < LEAST_READINGS or duration_s < LEAST_S:
         return PhaseFit(k, measured, float("nan"), None, "too short")
-    # Time counts from the last row of the phase before: somewhere from there on the speed was the new one.
+    # Time counts from the last row of the phase before: the speed changed at some instant after it.
     since = time_s[rows] - time_s[phase.first]
     found = approach(since, values[rows])
     return PhaseFit(k, measured, (found.pair or found).start - before, found)

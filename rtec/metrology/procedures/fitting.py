@@ -1,7 +1,7 @@
-"""Least squares as the procedures need it: few numbers, readings that follow each other in time, honest errors.
+"""Least squares for the procedures: few parameters, readings in order of time, realistic standard errors.
 
-Readings taken one after the other err together. A standard error that supposes them independent is then too small, so
-every error here is widened by the residual's own correlation time: n readings count as n / correlation time.
+Consecutive readings have correlated errors. A standard error for independent readings is then too small, so that every
+one here is multiplied by the root of the residual's correlation time: n readings count as n / correlation time.
 """
 
 import math
@@ -15,17 +15,17 @@ from rtec.errors import MeasurementError
 
 Floats = NDArray[np.float64]
 DEPENDENT = 1e-9
-"""Columns whose combination is smaller than this share of the largest cannot be told apart."""
+"""Columns are confounded if a combination of them is smaller than this share of the largest."""
 
 
 @dataclass(frozen=True)
 class BestLine:
-    """A best-fit line and what is left of the readings.
+    """A best-fit line and the residual.
 
     Attributes:
         slope: per unit of position.
         slope_se: its standard error, NaN from fewer than three readings.
-        offset: at position zero.
+        offset: value at position zero.
         residual: reading minus line, (n,).
     """
 
@@ -37,15 +37,15 @@ class BestLine:
 
 @dataclass(frozen=True)
 class SeparableFit:
-    """A fit, linear but for θ.
+    """A fit that is linear except in θ.
 
     Attributes:
         values: linear coefficients, (k,).
-        theta: the others, (q,).
-        errors: standard errors, coefficients first, (k + q,), widened by `correlation`.
+        theta: non-linear parameters, (q,).
+        errors: standard errors, coefficients first, (k + q,), with `correlation`.
         residual: (n,).
         rms: root mean square of the residual.
-        correlation: how many readings count as one.
+        correlation: number of consecutive readings that count as one.
     """
 
     values: Floats
@@ -60,7 +60,7 @@ def best_line(position: Floats, reading: Floats) -> BestLine:
     """Least-squares line, (n,) and (n,).
 
     Raises:
-        MeasurementError: fewer than two different positions.
+        MeasurementError: there are fewer than two different positions.
     """
     spread = position - position.mean()
     size = float(spread @ spread)
@@ -74,13 +74,13 @@ def best_line(position: Floats, reading: Floats) -> BestLine:
 
 
 WHITE_SE = 2.0
-"""Standard errors of ρ of white readings up to which a correlation is none."""
+"""A correlation counts as zero up to this many standard errors of ρ of white readings."""
 
 
 def correlation_time(residual: Floats) -> float:
-    """How many readings in a row count as one: 1 + 2 Σ ρ_k, summed up to the first ρ_k that is not positive.
+    """Number of consecutive readings that count as one: 1 + 2 Σ ρ_k, up to the first ρ_k that is not positive.
 
-    One where white readings would make as much: the sum has only positive terms, so by itself it is never below one.
+    One where white readings may give as much; needed because the sum has only positive terms.
     """
     centred = residual - residual.mean()
     n = len(centred)
@@ -108,21 +108,21 @@ def separable_fit(
     Args:
         build: θ -> design, (n, k), and offset, (n,).
         reading: (n,), without gaps.
-        starts: places to search from; the best end counts.
+        starts: starts of the search; the best result counts.
         low, high: bounds of θ, (q,).
-        errors: work out standard errors; without, they are NaN and terms may be impossible to tell apart.
+        errors: compute standard errors; if false, they are NaN and terms may be confounded.
 
     Raises:
-        MeasurementError: fewer readings than numbers to find, or columns that these readings cannot tell apart.
+        MeasurementError: there are fewer readings than parameters, or columns are confounded.
     """
     from scipy.optimize import least_squares
 
     def left(theta: Floats) -> Floats:
-        return _left(build, reading, theta)[1]
+        return _fit_at(build, reading, theta)[1]
 
     found = [least_squares(left, start, bounds=(low, high), x_scale=high - low, max_nfev=80) for start in starts]
     theta = min(found, key=lambda f: float(f.cost)).x if found else np.zeros(0)
-    values, residual = _left(build, reading, theta)
+    values, residual = _fit_at(build, reading, theta)
     free = len(reading) - len(values) - len(theta)
     if free <= 0:
         raise MeasurementError(f"{len(reading)} readings for {len(values) + len(theta)} numbers; take more")
@@ -135,7 +135,7 @@ def separable_fit(
     return SeparableFit(values, theta, sigma * np.sqrt(rows) * unit, residual, rms, rows)
 
 
-def _left(build: Callable[[Floats], tuple[Floats, Floats]], reading: Floats, theta: Floats) -> tuple[Floats, Floats]:
+def _fit_at(build: Callable[[Floats], tuple[Floats, Floats]], reading: Floats, theta: Floats) -> tuple[Floats, Floats]:
     design, offset = build(theta)
     size = np.linalg.norm(design, axis=0)
     values = np.linalg.lstsq(design / np.where(size > 0, size, 1.0), reading - offset, rcond=None)[0]
@@ -157,10 +157,10 @@ def _slopes(build: Callable[[Floats], tuple[Floats, Floats]], values: Floats, th
 
 
 def unit_errors(design: Floats) -> Floats:
-    """Standard errors of the coefficients of a design, (n, k), for independent noise of one, (k,).
+    """Standard errors of the coefficients of a design, (n, k), for independent unit noise, (k,).
 
     Raises:
-        MeasurementError: columns that cannot be told apart.
+        MeasurementError: columns are confounded.
     """
     size = np.linalg.norm(design, axis=0)
     if (size == 0).any():

@@ -3,9 +3,9 @@
 x_ij: actual minus target position at target i (m of them) in cycle j (n of them); ↑ approached in the positive
 direction, ↓ in the negative one. All in µm. Figures that need both directions are None where only one was measured.
 
-The standard takes all scatter at a target as repeatability. When the axis warms up during the test, the cycles as a
-whole move, and that is no scatter: the same cycle is off in the same way at every target. A two-way layout separates
-them: `x_ij - x̄_i = zero of cycle j + stretch of cycle j × position + rest`.
+The standard counts all scatter at a target as repeatability. When the axis warms up during the test, whole cycles move,
+which is not scatter: one cycle has the same deviation at every target. A two-way layout separates them:
+`x_ij - x̄_i = zero of cycle j + stretch of cycle j × position + rest`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,25 +22,25 @@ from rtec.wording import percent
 
 Floats = NDArray[np.float64]
 SURE = 0.01
-"""A drift is called one when scatter alone would give it in fewer than this share of tests."""
+"""Accepted false-positive rate for a drift from scatter alone."""
 
 
 @dataclass(frozen=True)
 class CycleDrift:
-    """How the cycles move as a whole.
+    """Movement of whole cycles.
 
     Attributes:
         cycle_um: mean of x_ij - x̄_i over all targets and directions, one a cycle, (n,).
         stretch_um_per_m: slope of x_ij - x̄_i over position, one a cycle, (n,); zeros for one target.
         range_um: largest minus smallest cycle mean.
         stretch_range_um_per_m: the same for the slopes.
-        p: chance that scatter alone gives cycle means this far apart (F test of the two-way layout).
+        p: probability that scatter alone gives cycle means this far apart (F test of the two-way layout).
         p_stretch: the same for the slopes; 1 where they cannot be tested.
-        R_um: largest 4 s_i of any one direction, as it stands.
-        R_without_um: the same once the cycle means are taken out.
-        R_without_stretch_um: the same once the slopes are taken out too.
-        share: of the squared scatter, what sure movements of whole cycles explain.
-        words: the finding, in one or two sentences.
+        R_um: largest 4 s_i of any one direction.
+        R_without_um: the same without the cycle means.
+        R_without_stretch_um: the same without cycle means and slopes.
+        share: share of the squared scatter that significant movements of whole cycles explain.
+        words: the result, in one or two sentences.
     """
 
     cycle_um: Floats
@@ -57,7 +57,7 @@ class CycleDrift:
 
     @property
     def is_drift(self) -> bool:
-        """Do the cycles move, beyond what scatter explains?"""
+        """Whether the cycles move significantly more than scatter explains."""
         return min(self.p, self.p_stretch) < SURE
 
 
@@ -69,7 +69,7 @@ def cycle_drift(target_mm: Floats, directions: Sequence[Floats]) -> CycleDrift |
         directions: deviations µm, (m, n) each.
 
     Returns:
-        None where readings are missing or there are fewer than two cycles or targets.
+        The drift; None where readings are missing or there are fewer than two cycles or targets.
     """
     x = np.concatenate(list(directions)) if directions else np.zeros((0, 0))
     if x.size == 0 or np.isnan(x).any() or x.shape[1] < 2 or len(x) < 3:
@@ -87,7 +87,7 @@ def cycle_drift(target_mm: Floats, directions: Sequence[Floats]) -> CycleDrift |
     p_stretch = _chance(size * float(slopes @ slopes), free[0], float((flat**2).sum()), free[2]) if size > 0 else 1.0
     total = float((off**2).sum())
     parts = (rows * float(means @ means), size * float(slopes @ slopes))
-    return _told(
+    return _drift_of(
         means,
         slopes * 1e3,
         float(np.ptp(target_mm)),
@@ -103,7 +103,7 @@ def _largest(residual: Floats, free: float) -> float:
 
 
 def _chance(between: float, free_between: int, within: float, free_within: int) -> float:
-    """Chance of an F value at least this large from scatter alone."""
+    """Probability of an F value at least this large from scatter alone."""
     from scipy.stats import f
 
     if between <= 0.0 or free_within <= 0:
@@ -113,7 +113,7 @@ def _chance(between: float, free_between: int, within: float, free_within: int) 
     return float(f.sf(between / free_between / (within / free_within), free_between, free_within))
 
 
-def _told(
+def _drift_of(
     means: Floats,
     slopes: Floats,
     travel_mm: float,
@@ -156,7 +156,7 @@ def _trend(values: Floats) -> str:
 
 
 SAME_PHASE = 0.02
-"""Targets whose place within the pitch differs by less than this share of it see the periodic error alike."""
+"""Targets have the same periodic error if their phases within the pitch differ by less than this share of it."""
 
 
 @dataclass(frozen=True)
@@ -164,11 +164,11 @@ class Visits:
     """Deviations at the targets of one axis.
 
     Attributes:
-        name: file, or what it is called.
+        name: name of the file or measurement.
         target_mm: (m,), rising.
         up_um, down_um: deviations by direction of approach, (m, n); NaN where a reading is missing; a direction that
             was not measured is all NaN.
-        notes: what was left out or is unusual, in words.
+        notes: dropped readings and unusual properties, in words.
     """
 
     name: str
@@ -244,7 +244,7 @@ class PositioningTests(Result):
 
     Attributes:
         tests: in the order of the files.
-        notes: of the measurements, by name: what is missing in them, and what was accepted.
+        notes: notes of the measurements, by name: what is missing in them, and what was accepted.
     """
 
     page_maker: ClassVar[str] = "rtec.report.procedures:iso230_page"
@@ -257,7 +257,7 @@ class PositioningTests(Result):
         return self.own()
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """The targets of each test."""
+        """One row a target of each test."""
         return [
             {"test": r.visits.name, "target_mm": target, **_at_target(r, i)}
             for r in self.tests
@@ -275,14 +275,14 @@ def _at_target(r: Positioning, i: int) -> dict[str, float]:
 
 
 def positioning(visits: Visits, pitch_mm: float | None = None) -> Positioning:
-    """Give the figures of ISO 230-2, the drift between cycles, and warnings.
+    """The figures of ISO 230-2, the drift between cycles, and warnings.
 
     Args:
-        visits: deviations; every target needs two readings at least in a direction that was measured.
-        pitch_mm: of the screw or scale; None where there is none or it is not known.
+        visits: deviations; every target needs at least two readings in each measured direction.
+        pitch_mm: pitch of the screw or scale; None where there is none or it is unknown.
 
     Raises:
-        MeasurementError: no readings, or a target with fewer than two in one direction.
+        MeasurementError: there are no readings, or a target has fewer than two in one direction.
     """
     up, down = (one_way(visits, x) for x in (visits.up_um, visits.down_um))
     if up is None and down is None:
@@ -298,7 +298,7 @@ def positioning(visits: Visits, pitch_mm: float | None = None) -> Positioning:
 
 
 def one_way(visits: Visits, x_um: Floats) -> OneDirection | None:
-    """Figures of one direction from deviations (m, n); None where it was not measured at all."""
+    """Figures of one direction from deviations (m, n); None where it was not measured."""
     known = ~np.isnan(x_um)
     if not known.any():
         return None
@@ -337,17 +337,17 @@ def two_way(up: OneDirection, down: OneDirection) -> TwoWay:
 
 
 SEEN_ALL_ROUND = 0.4
-"""Where no larger part of the pitch is without a target, its error shows (two places leave half, three a third)."""
+"""The periodic error shows if no gap between the targets' phases is larger (two phases: a half, three: a third)."""
 
 
 def hidden_period(target_mm: Floats, pitch_mm: float | None) -> list[str]:
-    """Say so where the targets see one or two places of the pitch only."""
+    """A warning where the targets have only one or two phases within the pitch."""
     if pitch_mm is None or len(target_mm) < 2:
         return []
     phase = np.sort(np.mod((target_mm - target_mm[0]) / pitch_mm, 1.0))
     gaps = np.diff(np.append(phase, phase[0] + 1.0))
     places = max(1, int((gaps > SAME_PHASE).sum()))
-    # A dense run leaves no gap at all: it sees the whole pitch.
+    # Dense targets have no gap: they cover the whole pitch.
     if places > 2 or gaps.max() < SEEN_ALL_ROUND:
         return []
     where = "multiples of the pitch" if places == 1 else "multiples of half the pitch"
@@ -394,18 +394,18 @@ def visits_of(measurement: Measurement) -> Visits:
 def stops(name: str, position_mm: Floats, direction: Floats, run: Ints, reading_um: Floats) -> Visits:
     """Group rows, in order of time, into visits.
 
-    Rows in a row at one target, in one direction and run, are one stop; their mean counts. The k-th visit of a target
-    in one direction belongs to cycle k.
+    Consecutive rows at one target, in one direction and run, are one stop; their mean counts. The k-th visit of a
+    target in one direction belongs to cycle k.
 
     Args:
         name: for messages.
-        position_mm: commanded, (n,).
-        direction: of approach, -1, 0, +1, (n,).
+        position_mm: commanded position, (n,).
+        direction: direction of approach, -1, 0, +1, (n,).
         run: (n,).
         reading_um: (n,); NaN where there is none.
 
     Raises:
-        MeasurementError: nothing can be used.
+        MeasurementError: there is no usable visit.
     """
     target = _targets(position_mm)
     change = np.ones(len(target), bool)
@@ -419,7 +419,7 @@ def stops(name: str, position_mm: Floats, direction: Floats, run: Ints, reading_
 
 
 def _table(name: str, found: dict[tuple[float, int], list[float]]) -> Visits:
-    """Visits of all targets that were approached often enough; the others are told."""
+    """Visits of all targets that were approached often enough; the others are in the notes."""
     ways = [d for d in (1, -1) if any(len(v) > 1 for (_, way), v in found.items() if way == d)]
     targets = sorted({t for t, _ in found})
     kept = [t for t in targets if ways and all(np.isfinite(found.get((t, d), [])).sum() > 1 for d in ways)]
@@ -446,7 +446,7 @@ def _table(name: str, found: dict[tuple[float, int], list[float]]) -> Visits:
 
 
 def _targets(position_mm: Floats) -> Floats:
-    """Positions that are the same target get the same number."""
+    """Target of each position, (n,): positions of the same target get the same value."""
     order = np.argsort(position_mm, kind="stable")
     rising = position_mm[order]
     group = np.concatenate([[0], np.cumsum(np.diff(rising) > SAME_TARGET_MM)])

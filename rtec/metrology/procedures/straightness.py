@@ -3,12 +3,11 @@
 Straightness: an arbor and its reversal, a pair of probes, a turned face, or an artefact that is turned over. Probes
 read positive as the gap closes; probe 1 is on the positive side of the arbor, probe 2 on the negative one. The result
 is that of the probes' motion relative to the artefact, positive in the positive direction of the machine coordinate.
-With probes that read positive as the gap opens, give the readings with the other sign.
+For probes that read positive as the gap opens, change the sign of the readings.
 
-Parallelism: two probes 180° apart read a turning arbor at two or more places along the motion. Its mean over a turn
-frees a reading from the arbor's eccentricity; the difference of the probes frees it from the arbor's taper. The
-straightness of the motion at the places measured remains (the text of [G 3.4] hopes otherwise): more places average
-it.
+Parallelism: two probes 180° apart read a turning arbor at two or more places along the motion. The mean over a turn
+removes the arbor's eccentricity; the difference of the probes removes the arbor's taper. The straightness of the motion
+at the measured places remains (contrary to the text of [G 3.4]); more places reduce it by averaging.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,29 +27,28 @@ Method = Literal["reversal", "pair", "face", "artefact"]
 
 @dataclass(frozen=True)
 class StraightnessResult(Result):
-    """Straightness along one axis, best-fit line taken out.
+    """Straightness along one axis, relative to the best-fit line.
 
     Attributes:
-        method: how it was measured.
+        method: method of the measurement.
         position_mm: (n,), rising.
         straightness_um: (n,).
-        artefact_um: profile of the arbor (reversal, pair) or artefact, tilt of the face for face, (n,); its own
-            best-fit line is taken out except for the face, where the line is what it shows.
+        artefact_um: profile of the arbor (reversal, pair) or artefact, tilt of the face for face, (n,); relative to its
+            own best-fit line, except for the face, where the line is the result.
         peak_to_valley_um: largest minus smallest straightness.
         rms_um: root mean square of the straightness.
-        slope_urad: slope of the line that was taken out, positive where the motion goes towards positive as the
-            position grows. Where the spindle turns (reversal, pair, face) it is that of the motion against the
-            spindle's axis: how the arbor or disk sits in the spindle cancels like its form. Of an artefact that is
-            turned over by hand it is how the artefact was set up, and says nothing of the machine.
-        slope_se_urad: its standard error: straightness itself counts as scatter about the line, so it errs on the
-            large side.
-        point_se_um: standard error of one point from repeats or from the two halves of the pair; NaN where nothing
-            was repeated.
-        repeats: sets of readings; a pair gives two each time.
-        words: what the uncertainty rests on, and what this method cannot know.
-        name: of the file, or of the measurement.
-        axis: that moved.
-        notes: of the measurements, by name: what is missing in them, and what was accepted.
+        slope_urad: slope of the subtracted line, positive where the deviation rises with the position. Where the
+            spindle turns (reversal, pair, face) it is the slope of the motion relative to the spindle's axis: the seat
+            of the arbor or disk in the spindle cancels like its form. For an artefact that is turned over by hand it is
+            the alignment of the artefact, and no property of the machine.
+        slope_se_urad: its standard error; too large rather than too small, as the straightness counts as scatter about
+            the line.
+        point_se_um: standard error of one point from repeats or from the two halves of the pair; NaN without repeats.
+        repeats: number of sets of readings; a pair gives two each time.
+        words: basis of the uncertainty, and limits of this method.
+        name: name of the file or of the measurement.
+        axis: the axis that moved.
+        notes: notes of the measurements, by name: what is missing in them, and what was accepted.
     """
 
     page_maker: ClassVar[str] = "rtec.report.procedures:straightness_page"
@@ -75,13 +73,13 @@ class StraightnessResult(Result):
         return self.own()
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """The places."""
+        """One row a place."""
         columns = (self.position_mm, self.straightness_um, self.artefact_um)
         return [{"position_mm": x, "straightness_um": s, "artefact_um": a} for x, s, a in zip(*columns, strict=True)]
 
 
 def reversal(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> StraightnessResult:
-    """Straightness from probe 1 and, after the arbor was turned by 180°, probe 2 on the same line of the arbor.
+    """Straightness from probe 1 and, after a turn of the arbor by 180°, probe 2 on the same line of the arbor.
 
     m1 = a - s [G 3.1], m2 = a + s [G 3.2], so s = (m2 - m1)/2 [G 3.3] and a = (m1 + m2)/2.
 
@@ -90,7 +88,7 @@ def reversal(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> StraightnessR
         m1_um, m2_um: readings, (n,) or (repeats, n).
 
     Raises:
-        MeasurementError: fewer than three positions, or a reading is missing.
+        MeasurementError: there are fewer than three positions, or a reading is missing.
     """
     m1, m2 = _checked(position_mm, m1_um), _checked(position_mm, m2_um)
     words = ["The arbor turns with the spindle: an error of the spindle's 180° index counts as straightness."]
@@ -115,8 +113,8 @@ def artefact(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> StraightnessR
 def pair(position_mm: Floats, probe1_um: Floats, probe2_um: Floats) -> StraightnessResult:
     """Straightness from two probes, both read before and after the arbor was turned by 180°.
 
-    Each half turn gives reversal twice, with the arbor's two lines: s_a = (p2_180 - p1_0)/2 and s_b = (p2_0 -
-    p1_180)/2. Their mean is the straightness; their difference, which should be nil, tells the uncertainty.
+    Each half turn is a reversal with each of the arbor's two lines: s_a = (p2_180 - p1_0)/2 and s_b = (p2_0 -
+    p1_180)/2. Their mean is the straightness; their difference, ideally zero, gives the uncertainty.
 
     Args:
         position_mm: (n,).
@@ -142,7 +140,7 @@ def face(position_mm: Floats, m1_um: Floats, m2_um: Floats, profile_um: Floats |
         position_mm: (n,).
         m1_um, m2_um: readings, (n,) or (repeats, n).
         profile_um: calibrated profile of the face under the probe before and after the turn, (2, n), µm out of the
-            face; without it a perfect face is supposed.
+            face; without it the face is taken as perfect.
 
     Raises:
         MeasurementError: as for `reversal`.
@@ -192,13 +190,13 @@ def _result(method: Method, position_mm: Floats, sets: Floats, other: Floats, wo
 
 
 def _point_error(position: Floats, sets: Floats) -> float:
-    """Standard error of a point of the mean, each set's own line taken out; NaN from one set."""
+    """Standard error of a point of the mean, relative to each set's own line; NaN from one set."""
     if len(sets) < 2:
         return float("nan")
     lines: list[BestLine] = [best_line(position, s) for s in sets]
     flat = np.stack([line.residual for line in lines])
     n = len(position)
-    # Each set lost a line: n - 2 of its n values are free.
+    # A line was subtracted from each set: n - 2 of its n values are independent.
     variance = float(((flat - flat.mean(axis=0)) ** 2).sum()) / ((len(sets) - 1) * (n - 2))
     return float(np.sqrt(variance / len(sets)))
 
@@ -210,8 +208,8 @@ class Circle:
     Attributes:
         radius_um: R of [G 3.4], relative to the probe's zero.
         centre_um: eccentricity along 0° and 90°.
-        roundness_um: largest minus smallest of what is left.
-        se_um: standard error of `radius_um` if what is left were noise; a round that is none makes it too large.
+        roundness_um: largest minus smallest residual.
+        se_um: standard error of `radius_um` if the residual is noise; too large if the arbor is out of round.
     """
 
     radius_um: float
@@ -227,16 +225,16 @@ class ParallelismResult(Result):
     Attributes:
         position_mm: places, (k,), rising.
         radius_um: best-fit radii, (2 probes, k).
-        alpha_urad: α_p of [G 3.5]: slope of the spindle's axis seen from the motion, positive where the axis comes
-            nearer to probe 1 as the position grows.
-        motion_urad: slope of the motion seen from the spindle's axis, positive towards probe 1's side: -α_p.
-        alpha_se_urad: standard error from what the circles leave, NaN if unknown.
-        straightness_um: what is left of (R1 - R2)/2 about the line, (k,); nil for two places.
+        alpha_urad: α_p of [G 3.5]: slope of the spindle's axis relative to the motion, positive where the axis
+            approaches probe 1 as the position increases.
+        motion_urad: slope of the motion relative to the spindle's axis, positive towards probe 1's side: -α_p.
+        alpha_se_urad: standard error from the residuals of the circles, NaN if unknown.
+        straightness_um: residual of (R1 - R2)/2 about the line, (k,); zero for two places.
         taper_urad: change of the arbor's radius along the motion, per length.
         circles: by probe, then place.
-        words: what the result holds.
-        name: of the file.
-        axis: that moved.
+        words: remarks on the result.
+        name: name of the file.
+        axis: the axis that moved.
     """
 
     page_maker: ClassVar[str] = "rtec.report.procedures:parallelism_page"
@@ -258,7 +256,7 @@ class ParallelismResult(Result):
         return self.own()
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """The circles."""
+        """One row a circle."""
         return [
             {"position_mm": z, "probe": probe, **asdict(circle)}
             for probe, circles in enumerate(self.circles, 1)
@@ -270,11 +268,11 @@ def best_circle(angle_deg: Floats, reading_um: Floats) -> Circle:
     """Limaçon through a turn: R + a cos φ + b sin φ by least squares; R = Σ r_i / n for equal steps [G 3.4].
 
     Args:
-        angle_deg: of the spindle, (n,); need not be equally spaced.
+        angle_deg: angle of the spindle, (n,); need not be equally spaced.
         reading_um: (n,), NaN where missing.
 
     Raises:
-        MeasurementError: too few readings, or they leave a gap of more than half a turn.
+        MeasurementError: there are too few readings, or they have a gap of more than half a turn.
     """
     known = ~np.isnan(reading_um)
     angle, reading = angle_deg[known], reading_um[known]
@@ -303,11 +301,11 @@ def parallelism(position_mm: Floats, angle_deg: Floats, probe1_um: Floats, probe
 
     Args:
         position_mm: place of each reading, (n,).
-        angle_deg: of the spindle, (n,).
+        angle_deg: angle of the spindle, (n,).
         probe1_um, probe2_um: positive as the gap closes; probe 1 on the positive side, (n,).
 
     Raises:
-        MeasurementError: fewer than two places, or a turn that gives no circle; the message names the place.
+        MeasurementError: there are fewer than two places, or a turn gives no circle; the message names the place.
     """
     places = np.unique(position_mm)
     if len(places) < 2:

@@ -1,4 +1,4 @@
-"""What the procedures are fed with: plain tables (CSV, one line of names), measurements, and `*_ISO230.dat` of ecmc."""
+"""Input of the procedures: plain tables (CSV, one line of names), measurements, and `*_ISO230.dat` of ecmc."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,14 +30,14 @@ from rtec.tomlfile import nearest
 Floats = NDArray[np.float64]
 Table = dict[str, Floats]
 LENGTHS = ("nm", "mm", "m", "inch", "mil", "urad", "mrad", "deg")
-"""Units that a column in µm is sometimes in by mistake, as its name then says."""
+"""Suffixes of other units, which a column of µm may have by mistake."""
 
 
 def read_table(path: Path) -> Table:
-    """Columns by name, (n,) each; an empty cell is NaN, a line that begins with # is no row.
+    """Columns by name, (n,) each; an empty cell is NaN, a line that begins with # is ignored.
 
     Raises:
-        MeasurementError: not readable, no text, no rows, a name twice, a row too short or long, or a cell that is no
+        MeasurementError: not readable, no text, no rows, a repeated name, a row too short or long, or a cell that is no
             number; the message names file, line and column.
     """
     (table,) = delimited.read(path, SourceOptions(comment="#"), where="")
@@ -45,10 +45,10 @@ def read_table(path: Path) -> Table:
 
 
 def need(path: Path, table: Table, names: Sequence[str]) -> list[Floats]:
-    """Give some columns.
+    """Some columns, (n,) each.
 
     Raises:
-        MeasurementError: one is missing; the message names the nearest that is there.
+        MeasurementError: one is missing; the message has the nearest existing name.
     """
     for name in names:
         if name not in table:
@@ -60,10 +60,10 @@ def need(path: Path, table: Table, names: Sequence[str]) -> list[Floats]:
 
 
 def in_um(path: Path, names: Sequence[str]) -> None:
-    """Refuse columns of probes whose names say that they are in another unit than µm.
+    """Refuse columns of probes whose names have a unit other than µm.
 
     Raises:
-        MeasurementError: the first of them.
+        MeasurementError: there is one; the message names the first.
     """
     for name in names:
         unit = name.rpartition("_")[2]
@@ -75,7 +75,7 @@ def position_of(path: Path, table: Table) -> tuple[str, Floats]:
     """The one column of positions, `x_mm` and so on: axis name and values.
 
     Raises:
-        MeasurementError: none, more than one, or an empty cell in it; or a column of a probe that is not in µm.
+        MeasurementError: there is no such column, or several; a cell in it is empty; or a probe's column is not in µm.
     """
     in_um(path, [n for n in table if n.startswith("probe")])
     found = [n for n in table if n.endswith("_mm") and not n.startswith("probe")]
@@ -102,11 +102,11 @@ def straightness_table(path: Path, method: str | None = None) -> StraightnessRes
     `profile_um` the calibrated face under the probe. `run`, where given, numbers repeated sets.
 
     Args:
-        path: of the table.
-        method: one of `METHODS`; None: what the columns allow.
+        path: path of the table.
+        method: one of `METHODS`; None: the one for which there are columns.
 
     Raises:
-        MeasurementError: the table does not hold what the method needs; the message names file and place.
+        MeasurementError: the table lacks something that the method needs; the message names file and place.
     """
     table = read_table(path)
     axis, position = position_of(path, table)
@@ -143,9 +143,9 @@ def drift_table(path: Path, columns: Mapping[str, str], distance_mm: float | Non
     """Spindle drift from a CSV: `time_s`, `spindle_rpm`, columns of probes, temperatures.
 
     Args:
-        path: of the table.
-        columns: probe name ("radial1", "radial2", "axial") to column; empty: `radial1_um`, … as far as they are there.
-        distance_mm: between the radial probes.
+        path: path of the table.
+        columns: column by probe name ("radial1", "radial2", "axial"); empty: `radial1_um`, … if they exist.
+        distance_mm: distance between the radial probes.
 
     Raises:
         MeasurementError: as `spindle_drift`, with the file.
@@ -247,11 +247,11 @@ def drift_of(
 
     Args:
         measurement: with `spindle_rpm`; probes "radial1" and "radial2" give the tilt.
-        distance_mm: between the radial probes, instead of that of the set-up.
-        columns: of a table without a TOML; a measurement names its probes itself.
+        distance_mm: distance between the radial probes, instead of that of the set-up.
+        columns: must be empty: only a table without a TOML needs them.
 
     Raises:
-        MeasurementError: another instrument, no speeds, or columns that are named once more.
+        MeasurementError: the instrument is another one, there are no speeds, or `columns` is not empty.
     """
     name, setup = measurement.name, measurement.instrument.setup
     if columns:
@@ -275,11 +275,12 @@ def straightness_of(measurement: Measurement, method: str | None = None) -> Stra
     The probe's sign is the same in all runs, so readings are s + a, and s - a with the artefact turned over.
 
     Args:
-        measurement: of an axis.
-        method: "artefact" or None: what a measurement holds is no other.
+        measurement: the measurement.
+        method: "artefact" or None: a measurement has no other method.
 
     Raises:
-        MeasurementError: another instrument or method, no reversed runs, or runs that do not read the same places.
+        MeasurementError: the instrument or method is another one, there are no reversed runs, or runs have different
+            places.
     """
     name, setup, axis = measurement.name, measurement.instrument.setup, measurement.instrument.axis
     if method not in (None, "artefact"):
@@ -323,14 +324,14 @@ def _run(name: str, run: int, places: Floats, position: Floats, reading: Floats,
 
 
 def read_dat(path: Path, swap: bool = False) -> Visits:
-    """Read one file.
+    """Read the visits of one `.dat` file of ecmc.
 
     Args:
-        path: of the `.dat`.
-        swap: take FWD for backward, as the published reports of its makers do.
+        path: path of the `.dat`.
+        swap: take FWD as backward, as the published reports of its makers do.
 
     Raises:
-        MeasurementError: as the reader tells it by line, or an axis that is not linear.
+        MeasurementError: the reader finds a fault, by line, or the axis is not linear.
     """
     if not path.is_file():
         raise MeasurementError(f"{path}: no such file")

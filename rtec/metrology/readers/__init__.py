@@ -1,4 +1,4 @@
-"""Readers of files that other programs write; each gives plain tables of named columns with their units."""
+"""Readers of other programs' files; each gives plain tables of named columns with their units."""
 
 from rtec.metrology.readers.base import ForeignTable, SourceOptions
 from rtec.metrology.readers.registry import READERS, detect, read_tables

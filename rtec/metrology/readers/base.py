@@ -1,4 +1,4 @@
-"""What a reader gives, and what it may be told about the file."""
+"""The result of a reader, and the options that describe the file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,12 +19,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Texts = NDArray[np.object_]
 EXPANSION = 16
-"""Bytes of memory that a byte of a text takes while it is read."""
+"""Bytes of memory per byte of a text while it is read."""
 WHERE = "in [source] of the map,"
 
 
 class SourceOptions(Strict):
-    """`[source]` of a map: how the file is written. What is not said is found out, and told.
+    """`[source]` of a map: the format of the file. Options that are not given are detected, with a note.
 
     Attributes:
         reader: name of the reader.
@@ -33,9 +33,9 @@ class SourceOptions(Strict):
         widths: characters of each column, where the cells have fixed places instead of a delimiter.
         skip_rows: lines before the header.
         comment: lines that begin with this are no rows.
-        header: does the first line hold the names? Without it columns are `c1`, `c2`, …
-        names: of the columns, where no line of the file has them.
-        unit_row: does the line under the header hold units?
+        header: whether the first line has the names; without it columns are `c1`, `c2`, …
+        names: names of the columns, where no line of the file has them.
+        unit_row: whether the line below the header has units.
         missing: words that stand for "no value".
         swap_directions: ecmc only: what the file calls forward is backward.
     """
@@ -72,17 +72,17 @@ class SourceOptions(Strict):
 
 @dataclass(frozen=True)
 class ForeignTable:
-    """Named columns of one length, as they stand in the file.
+    """Named columns of one length, unconverted.
 
     Attributes:
-        name: of the table within its file.
+        name: name of the table within its file.
         columns: (n,) each: numbers, NaN where there is none, or texts.
-        units: unit of a column, where the file tells it.
+        units: unit of a column, where the file has it.
         lines: line of each row in the file, (n,).
-        notes: what the reader told.
-        wrong: of a column of texts, line and text of the first cell that is no number, where the reader knows it.
-        where: how the user tells the reader more, for messages; "" where nothing can be told.
-        decimal: mark in the numbers of its columns of texts.
+        notes: notes of the reader.
+        wrong: line and text of the first cell without a number, by column of texts, where the reader knows it.
+        where: how the user gives the reader options, for messages; "" where there are none.
+        decimal: decimal mark in its columns of texts.
     """
 
     name: str
@@ -98,10 +98,10 @@ class ForeignTable:
         return len(self.lines)
 
     def numbers(self, name: str, source: str) -> Floats:
-        """Give a column of numbers.
+        """A column of numbers, (n,).
 
         Raises:
-            MeasurementError: there is no such column, or it holds a text; names the line.
+            MeasurementError: there is no such column, or it has a text; the message names the line.
         """
         values = self.column(name, source)
         if values.dtype != np.object_:
@@ -112,7 +112,7 @@ class ForeignTable:
         )
 
     def rows(self, keep: NDArray[np.bool_]) -> "ForeignTable":
-        """Only these rows."""
+        """The table with only these rows, (n,)."""
         return replace(self, columns={n: v[keep] for n, v in self.columns.items()}, lines=self.lines[keep])
 
     def _first_text(self, values: Floats | Texts) -> tuple[int, str]:
@@ -120,14 +120,14 @@ class ForeignTable:
         return int(self.lines[i]), str(values[i])
 
     def column(self, name: str, source: str) -> Floats | Texts:
-        """Give a column as it is; MeasurementError where there is none."""
+        """A column, unconverted, (n,); MeasurementError where there is none."""
         if name not in self.columns:
             raise MeasurementError(f"{source}: there is no column {name!r}{nearest(name, self.columns)}")
         return self.columns[name]
 
 
 def number_or_none(text: str, decimal: str = ".") -> float | None:
-    """The number that a cell is, NaN where it is empty; None where it is a word."""
+    """Number in a cell, NaN where it is empty; None where it is a word."""
     plain = text.strip() if decimal == "." else text.strip().replace(".", "?").replace(decimal, ".")
     try:
         return float(plain or "nan") if "_" not in plain else None
@@ -151,10 +151,10 @@ def _way(text: str, where: str) -> str:
 
 
 def decoded(path: Path, encoding: str | None) -> tuple[str, tuple[str, ...]]:
-    """Give the whole text of a file and notes on its encoding.
+    """The whole text of a file and notes on its encoding.
 
     Raises:
-        MeasurementError: no such file, too large, or not text in that encoding.
+        MeasurementError: the file is missing, too large, or no text in that encoding.
     """
     text = look_over(path, encoding, WHERE)
     check_size(path, path.stat().st_size, EXPANSION, MeasurementError)

@@ -1,4 +1,4 @@
-"""Any text table: a header or none, then rows of cells between delimiters, blanks, or in fixed places."""
+"""Text tables in general: perhaps a header, then rows of cells between delimiters or blanks, or with fixed widths."""
 
 import csv
 import itertools
@@ -18,16 +18,16 @@ from rtec.metrology.units import UNITS, canonical
 DELIMITERS = (";", "\t", ",", "|")
 BEYOND_ASCII = 0x80
 FEW = 1000
-"""Rows that say which columns are numbers; a table of no more is looked at cell by cell."""
+"""Number of rows that decide which columns are numbers; a shorter table is read cell by cell."""
 NANS = ("nan", "NaN", "NAN")
 NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 
 
 def read(path: Path, source: SourceOptions, where: str = WHERE) -> list[ForeignTable]:
-    """Read the one table of the file; `where` is how the user tells more of it, for messages.
+    """Read the only table of the file; `where` is how the user gives options, for messages.
 
     Raises:
-        MeasurementError: not text, no rows, or rows of another length than the header; by line.
+        MeasurementError: the file is no text, has no rows, or rows of another length than the header; by line.
     """
     text, notes = decoded(path, source.encoding)
     return [table_of(path, text, source, notes, where)]
@@ -36,7 +36,7 @@ def read(path: Path, source: SourceOptions, where: str = WHERE) -> list[ForeignT
 def table_of(
     path: Path, text: str, source: SourceOptions, notes: tuple[str, ...] = (), where: str = WHERE
 ) -> ForeignTable:
-    """Give the table that a text holds; see `read`."""
+    """The table in a text; see `read`."""
     lines = _Lines.of(text, source)
     if not len(lines.at):
         raise MeasurementError(
@@ -61,12 +61,12 @@ def table_of(
 
 @dataclass(frozen=True)
 class _Lines:
-    """Lines of a text: those that are not blank, not a comment, and not skipped.
+    """Lines of a text, without blank lines, comments and skipped ones.
 
     Attributes:
         data: the whole text.
-        at: numbers of the lines in it, from 1, rising, (n,).
-        first, last: where each begins in the data, and ends, (n,).
+        at: line numbers, from 1, rising, (n,).
+        first, last: start and end of each line in the data, (n,).
     """
 
     data: bytes
@@ -76,7 +76,7 @@ class _Lines:
 
     @classmethod
     def of(cls, text: str, source: SourceOptions) -> "_Lines":
-        """Those of a text."""
+        """The lines of a text."""
         data = text.encode()
         there = np.frombuffer(data, dtype=np.uint8)
         ends = np.flatnonzero(there == ord("\n")).astype(np.int64)
@@ -93,16 +93,16 @@ class _Lines:
         return cls(data, at + 1, first[at], last[at])
 
     def part(self, start: int, stop: int | None = None) -> "_Lines":
-        """Some of them."""
+        """The lines from `start` to before `stop`."""
         here = slice(start, stop)
         return _Lines(self.data, self.at[here], self.first[here], self.last[here])
 
     def texts(self) -> list[str]:
-        """Each as a text."""
+        """Each line as a text."""
         return [self.data[a:b].decode() for a, b in zip(self.first.tolist(), self.last.tolist(), strict=True)]
 
     def content(self) -> memoryview | bytes:
-        """All of them, one under the other."""
+        """All lines, joined."""
         gaps = np.flatnonzero(np.diff(self.at) != 1) + 1
         ends = [0, *gaps.tolist(), len(self.at)]
         parts = [memoryview(self.data)[self.first[a] : self.last[b - 1]] for a, b in itertools.pairwise(ends)]
@@ -117,7 +117,7 @@ def split(line: str, source: SourceOptions) -> list[str]:
     """
     if source.widths is not None:
         ends = list(itertools.accumulate(source.widths))
-        # What is beyond the last column belongs to it: a wider number is not cut off.
+        # The last column extends to the end of the line, so that a wider number is not cut off.
         ends[-1] = max(ends[-1], len(line))
         return [line[a:b].strip() for a, b in zip([0, *ends], ends, strict=False)]
     if source.delimiter == " ":
@@ -126,14 +126,14 @@ def split(line: str, source: SourceOptions) -> list[str]:
 
 
 def _delimiter(lines: list[str]) -> str:
-    """The mark that divides the first lines alike; the comma where none does."""
+    """The delimiter that divides the first lines into equally many cells; a comma where none does."""
     alike = [d for d in DELIMITERS if len({line.count(d) for line in lines}) == 1 and d in lines[0]]
     seen = [d for d in DELIMITERS if d in lines[0]]
     return (alike or seen or [","])[0]
 
 
 def _header(path: Path, lines: list[str], source: SourceOptions, where: str) -> tuple[list[str], dict[str, str], int]:
-    """Names, units, and how many lines they took."""
+    """Names, units, and the number of lines with them."""
     try:
         cells = [split(line, source) for line in lines]
     except csv.Error as e:
@@ -167,7 +167,7 @@ def bracketed(name: str) -> str:
 
 
 def unit_named(text: str) -> str:
-    """The unit that a word means; empty where it means none."""
+    """The unit that a word means; empty where it is no unit."""
     try:
         return canonical(text) if text and text not in UNITS.keys() - {"1"} else text
     except ValueError:
@@ -196,7 +196,7 @@ def _cells(path: Path, rows: _Lines, names: list[str], source: SourceOptions, wh
 
 
 def _parsed(rows: _Lines, names: list[str], source: SourceOptions, types: dict[str, Any]) -> Any:
-    """The table as Arrow reads it, each column as a type."""
+    """The table from Arrow's reader, with a type for each column."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -212,9 +212,9 @@ def _parsed(rows: _Lines, names: list[str], source: SourceOptions, types: dict[s
 
 
 def _quick(path: Path, rows: _Lines, names: list[str], source: SourceOptions, where: str) -> Any:
-    """The table, its columns of numbers as numbers; None where anything in one is out of the ordinary.
+    """The table, with numeric columns as numbers; None where anything in one is unusual.
 
-    Which they are is seen in the first rows.
+    The first rows decide which columns are numeric.
     """
     import pyarrow as pa
 
@@ -231,7 +231,7 @@ def _quick(path: Path, rows: _Lines, names: list[str], source: SourceOptions, wh
 
 
 def _is_plain(column: Any) -> bool:
-    """Whether a column of numbers has only such as `NUMBER` takes: Arrow knows words for infinity and for none."""
+    """Whether all cells of a numeric column match `NUMBER`: Arrow also accepts words for infinity and NaN."""
     values = floats(column)
     return not np.isinf(values).any() and int(np.isnan(values).sum()) == column.null_count
 
@@ -260,7 +260,7 @@ def _width_way(source: SourceOptions, where: str) -> str:
 
 
 def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Texts, int | None]:
-    """A column as numbers if all its cells are; else as texts, and which is the first that is no number."""
+    """A column as numbers if all its cells are numbers; else as texts, and the first cell that is none."""
     import pyarrow as pa
     from pyarrow import compute
 
@@ -274,7 +274,7 @@ def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Text
         grouped = compute.match_substring_regex(plain, rf"^[+-]?[1-9]\d{{0,2}}({mark}\d{{3}})+([.,]\d*)?$")
         plain = compute.if_else(grouped, compute.replace_substring(plain, source.thousands, ""), plain)
     if source.decimal == ",":
-        # A point that is left may be a decimal point or a thousands separator: such a column is no numbers.
+        # A remaining point may be a decimal point or a thousands separator: such a column is not numeric.
         plain = compute.replace_substring(compute.replace_substring(plain, ".", "?"), ",", ".")
     plain = compute.if_else(blank, pa.scalar(None, pa.string()), compute.utf8_ltrim(plain, "+"))
     number = compute.fill_null(compute.match_substring_regex(plain, NUMBER), True)

@@ -1,11 +1,11 @@
 """Bidirectional positioning data of ecmc's ISO 230-2 scripts: `TGT_DATA[i]`, `REF_DATA_FWD[i,j]`, `REF_DATA_BWD[i,j]`.
 
-i numbers target positions, j cycles. The files record no time, so rows are put into the order of ISO 230-2: every
-cycle forward through all targets, then back.
+i numbers target positions, j cycles. The files have no time, so that rows get the order of ISO 230-2: every cycle
+forward through all targets, then back.
 
-Trap: reports published from such files show as "forward" what the file calls BWD, and the other way round. The file's
-own words are kept; `swap_directions = true` turns them. The sign of B and the means of each direction depend on it;
-the magnitudes of B, M, A, E and R do not.
+Trap: published reports of such files call "forward" what the file calls BWD, and vice versa. The file's own words are
+kept; `swap_directions = true` exchanges them. The sign of B and the means of each direction depend on it; the
+magnitudes of B, M, A, E and R do not.
 """
 
 import re
@@ -32,10 +32,10 @@ class _File:
 
 
 def read(path: Path, source: SourceOptions) -> list[ForeignTable]:
-    """Read the one table of the file: order, cycle, position, direction (-1, +1), target, reference, deviation.
+    """Read the only table of the file: order, cycle, position, direction (-1, +1), target, reference, deviation.
 
     Raises:
-        MeasurementError: a line that is none of the format, a value given twice, a target or reading missing; by line.
+        MeasurementError: a line is not of the format, a value is repeated, a target or reading is missing; by line.
     """
     text, notes = decoded(path, source.encoding)
     faults = Faults(str(path))
@@ -91,7 +91,7 @@ def _unit(file: _File, faults: Faults) -> str:
 
 
 def _sizes(file: _File, faults: Faults) -> tuple[int, int]:
-    """Positions and cycles: what is there must be what POSITIONS and CYCLES say."""
+    """Numbers of positions and cycles; the data must agree with POSITIONS and CYCLES."""
     if not file.targets or not file.readings:
         faults.whole("no TGT_DATA[i] or no REF_DATA_FWD[i,j], REF_DATA_BWD[i,j]")
         return 0, 0

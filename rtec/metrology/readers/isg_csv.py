@@ -7,10 +7,10 @@
     ...the next block, with a header of its own
 
 Units are fixed: parameters mm and rad, arguments mm (linear axes) and degrees (rotary axes). `X0A`, `C0Y` and so on
-are the position errors, which ISO 230-1 writes `EX0A`, `EC0Y`. As the makers document it, in the open: Beckhoff
-Information System, TF5280 Volumetric Compensation, "ISG CSV format", "Units of measure" and "List of parameters
-supported"; the same pages at ISG Stuttgart. Their signs are those of the machine's errors; the controller turns them
-into compensation, and turns them round with `negate`. Nothing is turned round here.
+are the position errors, which ISO 230-1 writes `EX0A`, `EC0Y`. Public sources: Beckhoff Information System, TF5280
+Volumetric Compensation, "ISG CSV format", "Units of measure" and "List of parameters supported"; the same pages at ISG
+Stuttgart. Signs are those of the machine's errors; the controller computes the compensation, and inverts the sign with
+`negate`. No sign is inverted here.
 """
 
 import re
@@ -33,7 +33,7 @@ def read(path: Path, source: SourceOptions) -> list[ForeignTable]:
     """Read every block as a table, in the file's own units; position errors get their ISO names (`EC0Y`).
 
     Raises:
-        MeasurementError: unknown name, or a row that does not fit its header; by line.
+        MeasurementError: a name is unknown, or a row does not fit its header; by line.
     """
     text, notes = decoded(path, source.encoding)
     faults = Faults(str(path))
@@ -62,11 +62,11 @@ def write(tables: Sequence[ForeignTable], path: Path) -> None:
     """Write tables as blocks; `read` gives the same numbers, bit for bit.
 
     Args:
-        tables: columns in the units that `unit` tells; ISO names (`EC0Y`) are written in the format's own way (`C0Y`).
+        tables: columns in the units of `unit`; ISO names (`EC0Y`) are written in the format's own way (`C0Y`).
         path: file to write.
 
     Raises:
-        MeasurementError: a column that the format has not, a wrong unit, a value that is not finite.
+        MeasurementError: the format does not have a column, a unit is wrong, or a value is not finite.
     """
     blocks = [_block(table, path) for table in tables]
     try:
@@ -85,7 +85,7 @@ def unit(name: str) -> str:
 
 
 def _iso_name(name: str) -> str:
-    """Name as in ISO 230-1; empty for one that the format has not."""
+    """Name as in ISO 230-1; empty for a name that the format does not have."""
     if POSITION.fullmatch(name):
         return f"E{name}"
     known = name in ARGUMENTS or COMPONENT.fullmatch(name) or OTHER.fullmatch(name)
@@ -97,7 +97,7 @@ def _own_name(name: str) -> str:
 
 
 def _blocks(text: str) -> list[list[tuple[int, list[str]]]]:
-    """Blocks of (line, cells); comments and blank lines are gone."""
+    """Blocks of (line, cells), without comments and blank lines."""
     out: list[list[tuple[int, list[str]]]] = [[]]
     for i, line in enumerate(text.split("\n")):
         content = line.split("//")[0].strip()

@@ -1,7 +1,7 @@
-"""JSON lines: one object a line. Keys inside of objects and lists are joined by points; what a line has not is missing.
+"""JSON lines: one object a line. Nested keys are joined by points; a key that a line lacks is a missing value.
 
-`{"ts": 1.5, "atherms": [{"id": "C", "temp": 26.6}]}` gives `ts` and `atherms.C.temp`: an item of a list is called by
-its `id` or `name` where it has one, else by its number.
+`{"ts": 1.5, "atherms": [{"id": "C", "temp": 26.6}]}` gives `ts` and `atherms.C.temp`: the key of a list's item is its
+`id` or `name` where it has one, else its number.
 """
 
 import json
@@ -82,7 +82,7 @@ def _flat(value: Any, name: str, depth: int) -> Iterator[tuple[str, Any]]:
 
 
 def _column(n: int, where: "array[int]", values: list[Any]) -> Floats | Texts:
-    """A column of numbers if all its values are, else of texts."""
+    """A column of numbers if all its values are numbers, else of texts."""
     numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     if numbers and all(isinstance(v, float) or abs(v) < 2**1000 for v in values):
         column: Floats = np.full(n, math.nan)

@@ -1,7 +1,7 @@
-"""How an unknown text table is written: encoding, lines before it, delimiter or fixed places, header, decimal sign.
+"""The layout of an unknown text table: encoding, lines before it, delimiter or fixed widths, header, decimal sign.
 
-Everything is concluded from the text itself and given with its reason; nothing is converted here. What two readings of
-the text allow alike is said, so that whoever asked can be asked back.
+Every conclusion is from the text itself and has its reason; nothing is converted here. Ambiguities are reported, so
+that the user can be asked.
 """
 
 import codecs
@@ -21,7 +21,7 @@ from rtec.text import clean
 from rtec.tomlfile import validated
 
 SAMPLE_BYTES = 4 << 20
-"""What is looked at of a long file."""
+"""Number of bytes of a long file that are examined."""
 SAMPLE_LINES = 2000
 COMMENTS = ("#", "//", "%", "!")
 NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -50,11 +50,11 @@ DELIMITER_WORDS = {";": "semicolons", ",": "commas", "\t": "tabs", "|": "bars", 
 
 @dataclass(frozen=True)
 class Guess:
-    """One thing that was concluded.
+    """One conclusion.
 
     Attributes:
         key: place in a map, such as "source.decimal" or "column.x_mm".
-        value: that is proposed.
+        value: the proposed value.
         reason: in words, for people.
     """
 
@@ -65,14 +65,14 @@ class Guess:
 
 @dataclass(frozen=True)
 class TextLayout:
-    """How a text is written.
+    """The layout of a text.
 
     Attributes:
         source: options that read it.
-        guesses: what was concluded, with reasons.
-        doubts: where the text allows another reading: key, the other values, and why.
-        text: of the sample.
-        cut: is the file longer than the sample?
+        guesses: conclusions, with reasons.
+        doubts: ambiguities: key, the other possible values, and why.
+        text: the sample.
+        cut: whether the file is longer than the sample.
     """
 
     source: SourceOptions
@@ -82,24 +82,24 @@ class TextLayout:
     cut: bool
 
 
-def layout(path: Path, told: Mapping[str, Any]) -> TextLayout:
-    """Find out how a text table is written.
+def layout(path: Path, preset: Mapping[str, Any]) -> TextLayout:
+    """Detect the layout of a text table.
 
     Args:
-        path: of the text.
-        told: keys of `[source]` that are known; they are taken as they are.
+        path: path of the text.
+        preset: known keys of `[source]`, which are not changed.
 
     Raises:
-        MeasurementError: it cannot be read, is no text, or no table of at least one number a row.
+        MeasurementError: the file cannot be read, is no text, or no table with at least one number a row.
     """
-    text, encoding, cut = _sample(path, told.get("encoding"))
+    text, encoding, cut = _sample(path, preset.get("encoding"))
     out: dict[str, Any] = {}
     guesses = [] if encoding is None else [encoding]
     if encoding is not None:
         out["encoding"] = encoding.value
     lines = text.split("\n")
-    comment = _comment(lines, told)
-    known = out | dict(told) | ({"comment": comment.value} if comment else {})
+    comment = _comment(lines, preset)
+    known = out | dict(preset) | ({"comment": comment.value} if comment else {})
     guesses += [comment] if comment else []
     rows = _numbered(lines, known)
     if not rows:
@@ -112,16 +112,16 @@ def layout(path: Path, told: Mapping[str, Any]) -> TextLayout:
     doubts: list[Guess] = []
     known |= names
     for guess in (*shape, *head, *_numbers(body, known, doubts)):
-        if guess.key.removeprefix("source.") not in told:
+        if guess.key.removeprefix("source.") not in preset:
             guesses.append(guess)
     concluded = {g.key.removeprefix("source."): g.value for g in guesses if g.value is not None}
-    everything = {**known, **concluded, **told, "reader": "delimited"}
+    everything = {**known, **concluded, **preset, "reader": "delimited"}
     source = validated(SourceOptions, everything, f"{path}: [source]", MeasurementError)
     return TextLayout(source, tuple(guesses), tuple(doubts), text, cut)
 
 
 def _sample(path: Path, declared: str | None) -> tuple[str, Guess | None, bool]:
-    """The first lines as text, how they are encoded, and whether there is more."""
+    """The first lines as text, a guess of the encoding, and whether the file is longer."""
     try:
         with path.open("rb") as file:
             data = file.read(SAMPLE_BYTES + 1)
@@ -148,7 +148,7 @@ def _sample(path: Path, declared: str | None) -> tuple[str, Guess | None, bool]:
 
 
 def _encoding(path: Path, data: bytes) -> tuple[str, Guess | None]:
-    """Python's name of the encoding; a guess where the text does not say it itself."""
+    """Python's name of the encoding, and a guess where the text does not prove it."""
     for mark, name in MARKS:
         if data.startswith(mark):
             return name, None
@@ -173,8 +173,8 @@ def _encoding(path: Path, data: bytes) -> tuple[str, Guess | None]:
     return "utf-8", None
 
 
-def _comment(lines: Sequence[str], told: Mapping[str, Any]) -> Guess | None:
-    if "comment" in told:
+def _comment(lines: Sequence[str], preset: Mapping[str, Any]) -> Guess | None:
+    if "comment" in preset:
         return None
     for mark in COMMENTS:
         marked = [i + 1 for i, line in enumerate(lines) if line.startswith(mark)]
@@ -194,7 +194,7 @@ def _numbered(lines: Sequence[str], known: Mapping[str, Any]) -> Rows:
 
 
 def kind_of(cell: str) -> str:
-    """What a cell is: "number", "time", "" for no value, or "text"."""
+    """Kind of a cell: "number", "time", "" for no value, or "text"."""
     if not cell or cell.lower() in NO_VALUE:
         return ""
     if NUMBER.fullmatch(cell) or GROUPED.fullmatch(cell):
@@ -214,7 +214,7 @@ def _cut_into(rows: Rows, options: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _score(rows: Rows, options: Mapping[str, Any]) -> float:
-    """Share of lines of one length, times share of numbers and times in them; 0 for one column."""
+    """Share of lines with the same number of cells, times the share of numbers and times in them; 0 for one column."""
     cells = _cut_into(rows, options)
     width, often = Counter(map(len, cells)).most_common(1)[0]
     if width < 2:
@@ -225,10 +225,10 @@ def _score(rows: Rows, options: Mapping[str, Any]) -> float:
 
 
 def _shape(path: Path, rows: Rows, known: dict[str, Any]) -> tuple[dict[str, Any], list[Guess]]:
-    """How a line is cut into cells."""
+    """Options that divide a line into cells, and guesses."""
     if known.get("delimiter") or known.get("widths"):
         return known, []
-    # The head of a file is often no part of the table: its end decides.
+    # The head of a file is often not part of the table: the end of the file decides.
     body = rows[_after_head(rows) :]
     ways: list[dict[str, Any]] = [{"delimiter": d} for d in ("\t", ";", "|", ",", " ")]
     fixed = _places(body)
@@ -249,7 +249,7 @@ def _shape(path: Path, rows: Rows, known: dict[str, Any]) -> tuple[dict[str, Any
 
 
 def _after_head(rows: Rows) -> int:
-    """The row from which on a file is certainly its table."""
+    """A row after which the file certainly consists of its table."""
     return len(rows) // 3 if len(rows) > 3 else min(1, len(rows) - 1)
 
 
@@ -266,14 +266,14 @@ def _shape_guess(way: Mapping[str, Any], body: Rows) -> Guess:
 
 
 def _commas_twice(rows: Rows, body: Rows) -> bool:
-    """Has a row twice as many commas as the header has names? (`x,y` over `1,5,2,5`)."""
+    """Whether rows have twice as many commas as the header has names (`x,y` over `1,5,2,5`)."""
     cells = _cut_into(body, {"delimiter": ","})
     head = next((c for c in _cut_into(rows, {"delimiter": ","}) if all(kind_of(x) == "text" for x in c)), None)
     return head is not None and len(head) > 1 and all(len(c) == 2 * len(head) for c in cells)
 
 
 def _places(body: Rows) -> list[int]:
-    """Widths of columns that end where every line goes from ink to blank; empty where there are less than two."""
+    """Widths of columns that end where every line changes from a character to a blank; empty for less than two."""
     length = max(len(line) for _, line in body)
     ink = [False] * length
     for _, line in body:
@@ -288,7 +288,7 @@ def _places(body: Rows) -> list[int]:
 
 
 class _Body:
-    """The rows of the table proper, and what each column holds."""
+    """The rows of the table itself, and the kind of each column."""
 
     def __init__(self, rows: Rows, known: Mapping[str, Any]) -> None:
         self.rows = rows
@@ -306,7 +306,7 @@ class _Body:
         return best if filled and kinds[best] >= 0.6 * filled else "text" if filled else ""
 
     def _fits(self, cells: Sequence[str]) -> bool:
-        """Is this a row of the table? Something in it is a number or time where its column has such."""
+        """Whether this is a row of the table: it has a number or time in a column of that kind."""
         if len(cells) != self.width:
             return False
         pairs = [(kind_of(c), k) for c, k in zip(cells, self.kinds, strict=True) if k in ("number", "time")]
@@ -321,7 +321,7 @@ class _Body:
 def _header(
     lines: Sequence[str], rows: Rows, body: _Body, known: Mapping[str, Any]
 ) -> tuple[list[Guess], dict[str, Any]]:
-    """The line of names over the first row, if any, and the keys that say so."""
+    """The line of names above the first row, if any, and its keys in `[source]`."""
     first = body.first or 0
     line = rows[first][0]
     if known.get("names") or known.get("header") is False:
@@ -366,7 +366,7 @@ def _skips(rows: Rows, skip: int) -> bool:
 def _units(cells: Sequence[str]) -> bool:
     words = [c.strip("[]() ") for c in cells]
     known = [w for w in words if w and unit_named(w)]
-    # Columns without a unit (date, remark) are empty in such a line: two units are enough where nothing else is in it.
+    # Columns without a unit (date, remark) are empty in such a line: two units and nothing else are enough.
     enough = len(known) >= min(2, len(words) / 2)
     return enough and all(not w or unit_named(w) or w == "-" for w in words)
 
@@ -374,7 +374,7 @@ def _units(cells: Sequence[str]) -> bool:
 def _names_over(
     lines: Sequence[str], rows: Rows, at: int | None, first: int, body: _Body, known: Mapping[str, Any]
 ) -> tuple[int, list[str]]:
-    """Line number and names for columns from a line that is cut otherwise: a comment, or words over fixed places."""
+    """Line number and names from a line with another layout: a comment, or words above fixed-width columns."""
     mark = known.get("comment")
     places = [i for i in range(first - 1, max(first - 4, -1), -1) if lines[i].strip()]
     units: list[str] = []
@@ -399,7 +399,7 @@ def _other_cuts(text: str, known: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _over(line: str, mark: str | None, known: Mapping[str, Any]) -> list[str]:
-    """The words of a line by the fixed column that each is over most."""
+    """The words of a line, assigned to the fixed-width columns with the largest overlap."""
     widths = known.get("widths")
     if not widths:
         return []
@@ -429,13 +429,13 @@ def _numbers(body: _Body, known: Mapping[str, Any], doubts: list[Guess]) -> list
     odd = Counter(c for column in columns for c in column if c and c not in NANS and kind_of(c) in ("", "text"))
     words = [w for w, _ in odd.most_common(8) if not any(ch.isdigit() for ch in w)]
     if words and not known.get("missing"):
-        told = ", ".join(f"{clean(w)!r} {odd[w]} times" for w in words)
-        out.append(Guess("source.missing", words, f"no numbers among numbers: {told}"))
+        counts = ", ".join(f"{clean(w)!r} {odd[w]} times" for w in words)
+        out.append(Guess("source.missing", words, f"no numbers among numbers: {counts}"))
     return out
 
 
 def _signs(numbers: Sequence[str], doubts: list[Guess]) -> tuple[str, str | None, str]:
-    """Decimal sign, sign between thousands, and why."""
+    """Decimal sign, thousands separator, and the reason."""
     both = next((n for n in numbers if "." in n and "," in n), None)
     if both is not None:
         decimal = max(".,", key=both.rfind)

@@ -22,10 +22,10 @@ class FileReader:
     """One reader.
 
     Attributes:
-        module: where its `read` is.
-        title: what it reads, for people.
+        module: module with its `read`.
+        title: kind of its files, for people.
         gives: its columns.
-        looks_like: do the first characters of a text look like its files?
+        looks_like: whether the first characters of a text look like one of its files.
     """
 
     module: str
@@ -110,7 +110,7 @@ def read_tables(path: Path, source: "SourceOptions | None" = None) -> tuple[str,
         Name of the reader, and the tables.
 
     Raises:
-        MeasurementError: no such reader, or the file is wrong; names file and line.
+        MeasurementError: there is no such reader, or the file is wrong; the message names file and line.
     """
     from rtec.metrology.readers.base import SourceOptions
 

@@ -1,4 +1,4 @@
-"""Times of day in the forms that programs write, as seconds from the first one."""
+"""Dates and times in the formats of other programs."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -20,14 +20,14 @@ def filetime_text(ticks: int) -> str:
 
 
 def parsed(text: str, pattern: str | None) -> datetime:
-    """A time of day; local times are taken as they stand, as if in UTC.
+    """Parse a date and time; local times are taken as UTC.
 
     Args:
-        text: from the file.
+        text: the text.
         pattern: strptime pattern; None reads ISO 8601.
 
     Raises:
-        ValueError: the text is none.
+        ValueError: the text does not match.
     """
     moment = datetime.strptime(text, pattern) if pattern else datetime.fromisoformat(text)
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)

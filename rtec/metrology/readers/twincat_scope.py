@@ -1,11 +1,10 @@
 """TwinCAT Scope's export to CSV.
 
 A block on the whole recording, then a block with one line for each property of the channels (Name, SymbolComment,
-Data-Type, SampleTime, …, Unit, …), then the values; at the end maybe `EOF`. As documented in the open: Beckhoff
-Information System, TE13xx Scope View, "Export to csv" (time stamps in FILETIME, 100 ns since 1601, or in milliseconds
-since the first sample; separator chosen by the user; one time column for all, for each channel or for each sample time)
-and TwinCAT 2 Scope settings. Where the label of a line stands again among the names (`Name;a;Name;b`), a time column of
-its own begins there.
+Data-Type, SampleTime, …, Unit, …), then the values; at the end maybe `EOF`. Public source: Beckhoff Information System,
+TE13xx Scope View, "Export to csv" (time stamps in FILETIME, 100 ns since 1601, or in milliseconds since the first
+sample; separator chosen by the user; one time column for all, for each channel or for each sample time) and TwinCAT 2
+Scope settings. Where the label of a line is repeated among the names (`Name;a;Name;b`), a new time column begins there.
 """
 
 import re
@@ -20,13 +19,13 @@ from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, Sourc
 from rtec.metrology.readers.times import filetime_text
 from rtec.metrology.units import canonical
 
-FILETIME_LEAST = 10**16  # milliseconds since a start never get there; FILETIME passed it in 1632
+FILETIME_LEAST = 10**16  # larger than any milliseconds since a start; FILETIME passed it in 1632
 LABELS = ("Name", "SymbolComment", "Data-Type", "SampleTime", "SymbolName", "Unit")
 
 
 @dataclass
 class _Layout:
-    """Where things stand: `times[k]` is the column of the time of the channels `groups[k]` (column, name, unit)."""
+    """Places of the columns: `times[k]` is the time of the channels `groups[k]` (column, name, unit)."""
 
     times: list[int]
     groups: list[list[tuple[int, str, str]]]
@@ -38,7 +37,7 @@ def read(path: Path, source: SourceOptions) -> list[ForeignTable]:
     """Read one table for each time column: `time` in s from the first sample, and each channel by its name.
 
     Raises:
-        MeasurementError: no header of channels, no values, or a value that is no number; by line.
+        MeasurementError: there is no header of channels or no value, or a value is no number; by line.
     """
     text, notes = decoded(path, source.encoding)
     lines = text.split("\n")
@@ -98,7 +97,7 @@ def _unit(text: str) -> str:
 
 
 def _values(lines: list[str], layout: _Layout, delimiter: str, faults: Faults) -> tuple[list[list[str]], list[int]]:
-    """Cells of all rows that are there, and their lines."""
+    """Cells of all rows, and their line numbers."""
     width = max([*layout.times, *(k for group in layout.groups for k, _, _ in group)]) + 1
     cells, numbers = [], []
     for i in range(layout.first, len(lines)):
@@ -134,12 +133,12 @@ def _table(
         columns[own] = _floats(path, own, [cells[i][place] for i in there], lines[there], layout.decimal)
         if unit:
             units[own] = unit
-    told = (*notes, start, "channels: " + ", ".join(n for n in columns if n != "time"))
-    return ForeignTable(path.stem, columns, units, lines[there], told)
+    remarks = (*notes, start, "channels: " + ", ".join(n for n in columns if n != "time"))
+    return ForeignTable(path.stem, columns, units, lines[there], remarks)
 
 
 def _time_s(path: Path, texts: list[str], lines: Ints, decimal: str) -> tuple[Floats, str]:
-    """Seconds from the first sample, exact for FILETIME, and what to tell about the start."""
+    """Seconds from the first sample, exact for FILETIME, and a note on the start."""
     if texts and re.fullmatch(r"\d{17,19}", texts[0].strip()):
         wrong = next((i for i, t in enumerate(texts) if not re.fullmatch(r"\d{17,19}", t.strip())), None)
         if wrong is not None:
@@ -170,6 +169,6 @@ def _floats(path: Path, name: str, texts: list[str], lines: Ints, decimal: str) 
 
 
 def _pointed(text: str, decimal: str) -> str:
-    """The text as Python writes numbers; a point among decimal commas may be either mark, so it is no number."""
+    """The text with a decimal point; a point among decimal commas is ambiguous, so that the text is no number."""
     text = text.replace("_", "?")
     return text.replace(".", "?").replace(",", ".") if decimal == "," else text

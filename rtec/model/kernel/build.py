@@ -1,4 +1,4 @@
-"""Turns kernel source into functions: numba where it is there, kept on disk; plain Python where it is not.
+"""Turns kernel source into functions: compiled by numba and kept on disk, or plain Python where numba is missing.
 
 Sine and cosine are the kernel's own: quicker than two library calls, and the same to the last bit on every machine.
 Reduction by π/2 in three parts (Cody and Waite), then the Taylor series on -π/4 … π/4; the first term omitted is below
@@ -25,13 +25,13 @@ HEADER = "import math\n\nfrom rtec.jit import njit\n"
 
 
 def build_module(text: str, depends_on: Sequence[ModuleType]) -> ModuleType:
-    """Give a module made of `text`, compiled functions and all.
+    """Make a module from `text`, with compiled functions.
 
-    The text and its machine code are kept in the user's cache folder under a name made from the text, this version,
-    and the source of every module whose kernels it calls (numba itself does not notice when those change).
+    The text and its machine code are kept in the user's cache folder. Their name is a hash of the text, this version,
+    and the source of every module whose kernels the text calls (numba does not notice when those change).
 
     Args:
-        text: what follows the header; made by this program.
+        text: the source after the header; made by this program.
         depends_on: modules whose compiled functions the text calls.
     """
     salt = "".join(inspect.getsource(m) for m in (jit, *depends_on))
@@ -46,22 +46,22 @@ def build_module(text: str, depends_on: Sequence[ModuleType]) -> ModuleType:
     if spec is None or spec.loader is None:
         return _in_memory(name, whole)
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # the machine code on disk refers to the module by its name
+    sys.modules[name] = module  # the machine code on disk imports the module by its name
     spec.loader.exec_module(module)
     return module
 
 
 def cache_folder() -> Path:
-    """Where kernels are kept."""
+    """The user's folder for kernels and their machine code."""
     from platformdirs import user_cache_path
 
     return user_cache_path("rtec") / "kernels"
 
 
 def _write(name: str, whole: str) -> Path | None:
-    """Write the source unless it stands there to the letter; None where there is no place for it.
+    """Write the source unless the file already has exactly this text; None where the folder cannot be written.
 
-    A file with other content is never run: it is written anew.
+    A file with other content is never run: it is overwritten.
     """
     folder = cache_folder()
     path = folder / f"{name}.py"
@@ -88,7 +88,7 @@ _HALF_PI_1 = float.fromhex("0x1.921fb544p+0")
 _HALF_PI_2 = float.fromhex("0x1.0b4611a6p-34")
 _HALF_PI_3 = float.fromhex("0x1.3198a2e037073p-69")
 LARGEST = 1.6e6
-"""Beyond this the library is asked: k would need more than 20 bits."""
+"""Beyond this angle the library computes sine and cosine: k would need more than 20 bits."""
 
 S3, S5, S7, S9, S11, S13, S15 = ((-1.0) ** k / math.factorial(2 * k + 1) for k in range(1, 8))
 C2, C4, C6, C8, C10, C12, C14, C16 = ((-1.0) ** k / math.factorial(2 * k) for k in range(1, 9))
@@ -104,12 +104,12 @@ def sin_cos(x: float) -> tuple[float, float]:
     r2 = r * r
     r4 = r2 * r2
     r8 = r4 * r4
-    # In pairs, not one behind the other, so that the processor can do several at a time.
+    # In pairs, not as one chain, so that the processor works on several at a time.
     s_low, s_high = (S3 + r2 * S5) + r4 * (S7 + r2 * S9), (S11 + r2 * S13) + r4 * S15
     c_low, c_high = (C2 + r2 * C4) + r4 * (C6 + r2 * C8), (C10 + r2 * C12) + r4 * (C14 + r2 * C16)
     s = r + r * r2 * (s_low + r8 * s_high)
     c = 1.0 + r2 * (c_low + r8 * c_high)
     quarter = int(k) & 3
-    # Chosen, not branched to: which quarter it is can't be foretold.
+    # Selected without a branch: the processor cannot predict the quarter.
     sine, cosine = (c, s) if quarter & 1 else (s, c)
     return (-sine if quarter & 2 else sine), (-cosine if (quarter + 1) & 2 else cosine)

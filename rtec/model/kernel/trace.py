@@ -1,11 +1,11 @@
-"""What the kernel has to compute, and when: effects written for numpy are run on symbols, and the result is sorted.
+"""Plans what the kernel computes, and when: runs the effects' numpy arithmetic on symbols and sorts the result.
 
 The symbols record the arithmetic done on them. Nodes are interned: the same arithmetic on the same inputs is one
 node, which is how effects that share `u²` share its computation. Constants fold, `0·x`, `1·x` and `0+x` vanish.
 
-Slow is what depends on temperatures, spindle speed, load, force and parameters only: computed when a sensor has a new
-reading. Fast is what depends on the motion of an axis: computed every cycle. Each term `coefficient · basis` is split
-into a slow and a fast factor, and all terms of a component with the same fast factor become one:
+Slow nodes depend only on temperatures, spindle speed, load, force and parameters: they are computed when a sensor has a
+new reading. Fast nodes depend on the motion of an axis: they are computed every cycle. Each term `coefficient · basis`
+is split into a slow and a fast factor, and all terms of a component with the same fast factor become one:
 
     component = Σ_F (Σ coefficient · slow) · F        F: product of fast nodes, 1 for none
 
@@ -54,30 +54,30 @@ class Node:
 
 @dataclass
 class Graph:
-    """All nodes, in an order in which each comes after what it needs."""
+    """All nodes; each comes after its arguments."""
 
     nodes: list[Node] = field(default_factory=list)
     index: dict[Node, int] = field(default_factory=dict)
 
     def add(self, node: Node) -> "Symbol":
-        """Give the symbol of a node, new or known."""
+        """The symbol of a node; equal nodes have one symbol."""
         if node not in self.index:
             self.index[node] = len(self.nodes)
             self.nodes.append(node)
         return Symbol(self, self.index[node])
 
     def constant(self, value: float) -> "Symbol":
-        """Give a constant; one that is not finite is a mistake in the model, and has no spelling in the kernel."""
+        """The symbol of a constant; ModelError where it is not finite, as the kernel's text cannot write that."""
         if not math.isfinite(value):
             raise ModelError(f"the arithmetic of an effect gives {value}, not a finite number")
         return self.add(Node("const", (), float(value)))
 
     def symbol(self, value: Value) -> "Symbol":
-        """Give the symbol for a symbol or a number."""
+        """The symbol of a number; a symbol is returned as it is."""
         return value if isinstance(value, Symbol) else self.constant(value)
 
     def apply(self, op: Op, *values: Value) -> "Symbol":
-        """Do arithmetic, simplified where that changes nothing."""
+        """The symbol of an operation, simplified where that does not change the value."""
         symbols = [self.symbol(v) for v in values]
         constants = [s.constant for s in symbols]
         if all(c is not None for c in constants):
@@ -108,7 +108,7 @@ class Graph:
 
 
 class Symbol:
-    """A value that is not there yet; takes part in numpy arithmetic and remembers it."""
+    """A value that is not known yet; records the numpy arithmetic that is done on it."""
 
     __array_priority__ = 1000
 
@@ -118,7 +118,7 @@ class Symbol:
 
     @property
     def constant(self) -> float | None:
-        """The number that it stands for, where it is one."""
+        """Its number, where it is a constant; else None."""
         node = self.graph.nodes[self.number]
         return float(node.key) if node.op == "const" and node.key is not None else None
 
@@ -177,7 +177,7 @@ class Symbol:
 
 
 class SymbolicChannels:
-    """Channels as symbols: what an effect sees while the kernel is written; remembers which were asked for."""
+    """Channels as symbols, for effects that are traced; records which channels they read."""
 
     def __init__(self, graph: Graph, reference_degc: float) -> None:
         self.graph = graph
@@ -185,16 +185,16 @@ class SymbolicChannels:
         self.read: set[str] = set()
 
     def value(self, name: str) -> Value:
-        """Give the symbol of a channel."""
+        """The symbol of a channel."""
         self.read.add(name)
         return self.graph.add(Node("input", (), name))
 
     def rise(self, sensor: str) -> Value:
-        """Give the temperature above the reference."""
+        """Temperature above the reference, K."""
         return self.value(sensor) - self.reference_degc
 
     def lagged(self, value: Value, tau_s: Value) -> Value:
-        """Give the symbol of a first-order lag; the kernel keeps its memory."""
+        """The symbol of a first-order lag; the kernel keeps its memory."""
         args = (self.graph.symbol(value).number, self.graph.symbol(tau_s).number)
         return self.graph.add(Node("lag", args))
 
@@ -210,8 +210,8 @@ class KernelPlan:
         graph: all nodes.
         fast: whether a node depends on the motion of an axis.
         terms: (component, fast factors) to the slow terms that multiply them: (parameter, slow factors).
-        lags: nodes that are first-order lags, each after those that it needs.
-        used: nodes that are needed, sorted.
+        lags: nodes that are first-order lags; each comes after its arguments.
+        used: nodes that the terms need, sorted.
     """
 
     machine: Machine
@@ -228,14 +228,14 @@ class KernelPlan:
     @property
     def used(self) -> list[int]:
         """All nodes that the roots need, in order."""
-        seen: set[int] = set()
+        needed: set[int] = set()
         stack = list(self.roots)
         while stack:
             n = stack.pop()
-            if n not in seen:
-                seen.add(n)
+            if n not in needed:
+                needed.add(n)
                 stack += self.graph.nodes[n].args
-        return sorted(seen)
+        return sorted(needed)
 
     @property
     def lags(self) -> list[int]:
@@ -259,8 +259,8 @@ def plan_model(model: Model) -> KernelPlan:
     """Trace every effect of a model and sort its terms.
 
     Raises:
-        ModelError: an effect uses arithmetic that the kernel does not know, a channel that the machine has not got,
-            or one that it does not list among its channels.
+        ModelError: an effect uses arithmetic that the kernel does not know, a channel that the machine does not have,
+            or one that the effect does not list among its channels.
     """
     graph = Graph()
     plan = KernelPlan(model.machine, graph)
@@ -283,7 +283,7 @@ def plan_model(model: Model) -> KernelPlan:
 
 
 def _check_read(fitted: FittedEffect, read: set[str], machine: Machine) -> None:
-    """Refuse an effect that reads what the machine has not, or what it does not tell: it would read zeros there."""
+    """Refuse an effect that reads a channel which the machine lacks or the effect does not list: it would be zero."""
     where = f"{fitted.effect.effect}({fitted.effect.component})"
     for name in sorted(read):
         if name not in machine.channel_names:
@@ -295,7 +295,7 @@ def _check_read(fitted: FittedEffect, read: set[str], machine: Machine) -> None:
 
 
 def _factors(plan: KernelPlan, number: int) -> list[int]:
-    """Factors whose product is the node; constants of one are left out."""
+    """Factors whose product is the node, without constants of one."""
     _classify(plan)
     node = plan.graph.nodes[number]
     if node.op == "mul":
@@ -309,7 +309,7 @@ def _factors(plan: KernelPlan, number: int) -> list[int]:
 
 
 def _classify(plan: KernelPlan) -> None:
-    """Say for every node not yet looked at whether it is fast."""
+    """Note for every new node whether it is fast."""
     moving = set(plan.machine.moving_channels)
     for node in plan.graph.nodes[len(plan.fast) :]:
         fast = node.key in moving if node.op == "input" else any(plan.fast[a] for a in node.args)

@@ -1,7 +1,7 @@
 """Writes the kernel's source: two straight-line functions, `slow_part` and `fast_part`, for one model's structure.
 
-The numbers (coefficients, time constants) come in as an array, so a refit needs no compilation. The text is made
-from node numbers, literals and channel indices only; nothing of a model file's text reaches it.
+The numbers (coefficients, time constants) are passed as an array, so that a refit needs no compilation. The text
+consists of node numbers, literals and channel indices only; no text of a model file reaches it.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ EXTRA_ARRAYS: dict[str, Callable[[Axis], str]] = {
     "acc": lambda axis: axis.acceleration_channel,
     "since": lambda axis: axis.since_reversal_channel,
 }
-"""What a model may read of every axis beside position and direction: name of the array, and of an axis' channel."""
+"""Arrays over the axes beside position and direction: name of the array, and attribute that names an axis' channel."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class KernelSource:
         arrays: what `fast_part` takes behind `m`, one array over the axes each: always `q` (positions) and `d`
             (directions), then those of `vel`, `acc` and `since` that the model reads.
         moving: indices of the axes whose velocity or acceleration it reads.
-        lags: number of lags; with any, time alone changes the slow part.
+        lags: number of lags; if there are any, the slow part changes with time alone.
     """
 
     text: str
@@ -132,7 +132,7 @@ class _Writer:
         ]
 
     def _shared(self, factors: Product, products: dict[Product, str]) -> tuple[list[str], str]:
-        """Name of a product of fast nodes, and the lines that make it, each partial product once."""
+        """Name of a product of fast nodes, and the lines that compute it, each partial product once."""
         if len(factors) < 2:
             return [], f"v{factors[0]}" if factors else ""
         if factors in products:
@@ -152,7 +152,7 @@ class _Writer:
         ]
 
     def _assign(self, n: int, before: list[str]) -> list[str]:
-        """Lines that give a node its value; sine and cosine of one angle come from one call."""
+        """Lines that assign a node's value; sine and cosine of one angle come from one call."""
         node = self.nodes[n]
         if node.op not in ("sin", "cos"):
             return [f"v{n} = {self._formula(n)}"]
@@ -199,7 +199,7 @@ class _Writer:
 
 
 def _tip(machine: Machine, components: list[str]) -> list[str]:
-    """The three components of the tip error as text: the chain with its numbers written out."""
+    """The three components of the tip error as text: the chain with its numbers as literals."""
     out = []
     for row in machine.chain.terms:
         terms = []

@@ -1,7 +1,7 @@
 """Seeded measurements by any instrument on a machine whose true effects are chosen.
 
-What the instrument reads is `arms · true component errors + nuisances`, then noise; a ball bar reads its exact length.
-The true effects see the true temperatures; the measurement holds what the sensors made of them.
+A reading is `arms · true component errors + nuisances`, then noise; for a ball bar it is the exact length. The true
+effects depend on the true temperatures; the measurement has the sensors' readings of them.
 """
 
 from collections.abc import Mapping
@@ -30,14 +30,14 @@ USUAL_NUISANCE = {"um": 5.0, "urad": 20.0, "um_per_m": 10.0, "um_per_m_degc": 0.
 
 @dataclass(frozen=True)
 class Simulated(Result):
-    """A measurement and what is behind it.
+    """A measurement and the truth behind it.
 
     Attributes:
         measurement: as an instrument would have recorded it.
-        components: true component errors by name, µm or µrad, (n,) at the rows of the measurement; none for those that
+        components: true component errors by name, µm or µrad, (n,) at the rows of the measurement; without those that
             no effect feeds.
-        nuisance_um: what the instrument itself added, (readings, n), in the unit of each reading.
-        nuisance: by name and run (0: the whole set-up), the coefficients that were drawn.
+        nuisance_um: contribution of the instrument, (readings, n), in the unit of each reading.
+        nuisance: drawn coefficients by name and run (0: the whole set-up).
         clean: readings without noise, (readings, n); NaN where nothing is read.
         true_degc: true temperatures by sensor, (n,).
         phase: name of the phase of each row.
@@ -58,7 +58,7 @@ class Simulated(Result):
         return self.measurement.to_frame(kind)
 
     def facts(self) -> dict[str, Any]:
-        """What was made, for people and programs; the keys are those of the JSON."""
+        """The result as plain data; keys as in the documented JSON."""
         m, order = self.measurement, dict.fromkeys(self.phase)
         return {
             "rows": len(m),
@@ -74,14 +74,14 @@ class Simulated(Result):
 def simulate(
     truth: Model, instrument: Instrument, settings: Settings | None = None, seed: int = 1, name: str = "simulated"
 ) -> Measurement:
-    """Give a measurement; the same arguments give the same numbers, bit for bit.
+    """Simulate a measurement; the same arguments give the same numbers, bit for bit.
 
     Args:
         truth: machine and its true effects.
-        instrument: set up on that machine.
+        instrument: instrument with its set-up on that machine.
         settings: targets, protocol, temperatures, noise.
-        seed: another one gives other noise, nuisances and weather.
-        name: of the measurement.
+        seed: seed of noise, nuisance parameters and weather.
+        name: name of the measurement.
 
     Raises:
         ConfigError: the settings do not fit machine or instrument.
@@ -92,9 +92,9 @@ def simulate(
 def simulate_with_truth(
     truth: Model, instrument: Instrument, settings: Settings | None = None, seed: int = 1, name: str = "simulated"
 ) -> Simulated:
-    """As `simulate`, and everything that a measurement does not show."""
+    """As `simulate`, with the truth."""
     settings, machine = settings or Settings(), truth.machine
-    # One stream each: more noise of one kind leaves the others as they were.
+    # One stream each: more noise of one kind does not change the others.
     weather, sensing, hidden, noise = (np.random.default_rng([seed, 40, i]) for i in range(4))
     cycle = make_path(machine, instrument, settings) or make_cycle(machine, instrument, settings.targets)
     cycle = replace(cycle, more={**_at_rest(truth, cycle), **cycle.more})
@@ -102,7 +102,7 @@ def simulate_with_truth(
     true_degc = temperatures_degc(machine, settings.thermal, whole, weather)
     rows = np.flatnonzero(whole.run > 0)
     run, time_s = whole.run[rows], whole.time_s[rows]
-    # Lags need every instant, also those between the rows.
+    # Lags need every instant, including those between the rows.
     everywhere = _components(truth, _state(truth, whole, true_degc, np.arange(len(whole))))
     components = {name: values[rows] for name, values in everywhere.items()}
     here = _state(truth, whole, true_degc, rows)
@@ -137,10 +137,10 @@ def simulate_with_truth(
 
 
 def _at_rest(truth: Model, cycle: Cycle) -> dict[str, Floats]:
-    """Velocities and accelerations that the true effects ask for and the cycle does not have: it reads at rest."""
-    asked = {c for f in truth.effects for c in f.effect.channels(truth.machine)}
+    """Zero velocities and accelerations for the true effects that need them: the cycle reads at rest."""
+    needed = {c for f in truth.effects for c in f.effect.channels(truth.machine)}
     motion = {c for a in truth.machine.axes for c in (a.velocity_channel, a.acceleration_channel)}
-    return {c: np.zeros(len(cycle.after_s)) for c in sorted(asked & motion)}
+    return {c: np.zeros(len(cycle.after_s)) for c in sorted(needed & motion)}
 
 
 def _state(truth: Model, whole: Timeline, true_degc: Mapping[str, Floats], rows: NDArray[np.int64]) -> State:
@@ -182,13 +182,13 @@ def _nuisances(
 
 
 def _read(instrument: Instrument, axes: tuple[str, ...], whole: Timeline, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which readings are taken in which rows, (readings, n)."""
-    taken = np.array([instrument.reads_while(name) for name in (*axes, None)])  # index -1: none travels
+    """Whether each reading is taken in each row, (readings, n)."""
+    taken = np.array([instrument.reads_while(name) for name in (*axes, None)])  # index -1: no axis travels
     return np.asarray(taken[whole.travelling[rows]].T & whole.read[rows])
 
 
 def _channels(here: State, sensed: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Positions of all axes, directions of those that ever move, spindle speed, temperatures as sensed."""
+    """Positions of all axes, directions of those that ever move, spindle speed, temperatures from the sensors."""
     axes = here.machine.axes
     out = {a.channel: here.value(a.channel) for a in axes}
     directions = {a.direction_channel: here.value(a.direction_channel) for a in axes}

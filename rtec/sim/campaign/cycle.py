@@ -1,4 +1,4 @@
-"""One measuring cycle: the poses in order, when each is read, and from which side it was approached."""
+"""One measuring cycle: the poses in order, the time of each reading, and its direction of approach."""
 
 import itertools
 import math
@@ -16,7 +16,7 @@ from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
 GOLDEN = 0.3819660112501051
-"""Steps of (k + this) pitches meet every phase of the pitch evenly."""
+"""Steps of (k + this) pitches cover all phases of the pitch evenly."""
 MARGIN, INTERVALS = 0.02, 20
 MOST_ROWS = 2_000_000
 
@@ -26,13 +26,13 @@ class Cycle:
     """One cycle.
 
     Attributes:
-        pose_mm: (n, axes).
-        direction: of the last motion of each axis, (n, axes); 0 for one that never moves.
-        after_s: from the start of the cycle to each reading, (n,).
-        travelling: axis that travels, index, (n,).
+        pose_mm: axis positions, (n, axes).
+        direction: last direction of each axis, (n, axes); 0 for an axis that never moves.
+        after_s: time from the start of the cycle to each reading, (n,).
+        travelling: index of the axis that travels, (n,).
         seconds: length of the cycle.
-        path_mm: that each axis goes in it, (axes,).
-        notes: what was chosen, in words.
+        path_mm: travel of each axis in the cycle, (axes,).
+        notes: choices, in words.
         more: other channels by name, (n,): velocities, accelerations, angle, feed.
         part: number of the run within the cycle, from 0, (n,); None: the cycle is one run.
     """
@@ -49,10 +49,10 @@ class Cycle:
 
 
 def make_cycle(machine: Machine, instrument: Instrument, targets: Targets) -> Cycle:
-    """Work out a cycle.
+    """Make the cycle of an instrument that stops at targets.
 
     Raises:
-        ConfigError: an axis that is not there, a place or range outside the travel.
+        ConfigError: an axis does not exist, or a place or range is outside the travel.
     """
     axes = travelling_axes(machine, instrument, targets)
     both = targets.both_directions
@@ -99,12 +99,12 @@ def travelling_axes(machine: Machine, instrument: Instrument, targets: Targets) 
 
 
 def line(axis: Axis, targets: Targets) -> tuple[Floats, list[str]]:
-    """Targets along an axis, mm, and what is to be said about them."""
+    """Targets along an axis, mm, and notes on them."""
     low, high = axis.travel_mm
     first, last = targets.range_mm or (low + MARGIN * (high - low), high - MARGIN * (high - low))
     if first < low or last > high:
         raise ConfigError(f"[targets] range_mm {first:g} to {last:g}: axis {axis.name} travels {low:g} to {high:g} mm")
-    # Positions that a person could type; a travel of less than a millimetre keeps its step.
+    # Round positions, as a person would choose them; a travel of less than a millimetre keeps its step.
     step = targets.step_mm or round((last - first) / INTERVALS, 3) or (last - first) / INTERVALS
     notes = []
     if not targets.keep_step and axis.pitch_mm is not None and on_pitch(step, axis.pitch_mm):
@@ -125,19 +125,19 @@ def line(axis: Axis, targets: Targets) -> tuple[Floats, list[str]]:
 
 
 def on_pitch(step_mm: float, pitch_mm: float) -> bool:
-    """Do steps meet less than three phases of the pitch (or nearly so)?"""
+    """Whether steps cover less than three phases of the pitch, or nearly so."""
     halves = step_mm / (0.5 * pitch_mm)
     return step_mm > 0.4 * pitch_mm and abs(halves - round(halves)) < 0.1
 
 
 def off_pitch(step_mm: float, pitch_mm: float) -> float:
-    """The step nearest to `step_mm` that meets every phase of the pitch evenly."""
+    """The step nearest to `step_mm` that covers all phases of the pitch evenly."""
     whole = max(round(step_mm / pitch_mm - GOLDEN), 0)
     return round((whole + GOLDEN) * pitch_mm, 3)
 
 
 def _places(machine: Machine, targets: Targets) -> dict[str, tuple[float, ...]]:
-    """Where each axis stands while another travels."""
+    """Positions of each axis while another one travels, by axis name."""
     out: dict[str, tuple[float, ...]] = {a.name: (0.5 * sum(a.travel_mm),) for a in machine.axes}
     for name, places in targets.at_mm.items():
         if name not in out:
@@ -164,7 +164,7 @@ def _lines(
 
 
 def directions(pose: Floats, travelling: NDArray[np.int64], way: Floats) -> Floats:
-    """Last direction of every axis, as in a cycle that was run before; the travelling one overruns its end targets."""
+    """Last direction of every axis in a repeated cycle, (n, axes); the travelling axis overruns its end targets."""
     out, last = np.zeros_like(pose), np.zeros(pose.shape[1])
     for _ in range(2):
         for i in range(len(pose)):

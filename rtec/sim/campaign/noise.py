@@ -1,4 +1,4 @@
-"""Noise of readings: independent, going on (Ornstein-Uhlenbeck), by run, steps of the display, outliers, gaps."""
+"""Noise of readings: white, drift (Ornstein-Uhlenbeck), offsets of runs, resolution, outliers, missing readings."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ Ints = NDArray[np.int64]
 
 
 def drift_noise(time_s: Floats, sigma: float, tau_s: float, rng: np.random.Generator) -> Floats:
-    """Noise with the autocorrelation `σ² exp(-|Δt|/τ)` at any instants, (n,); stationary from the first."""
+    """Noise with the autocorrelation `σ² exp(-|Δt|/τ)` at any instants, (n,); stationary from the start."""
     fresh = rng.standard_normal(len(time_s))
     return _ornstein_uhlenbeck(fresh, np.ascontiguousarray(time_s), tau_s) * sigma
 
@@ -29,7 +29,7 @@ def _ornstein_uhlenbeck(fresh: Floats, time_s: Floats, tau_s: float) -> Floats:
 
 
 def with_noise(reading: Floats, time_s: Floats, run: Ints, noise: ReadingNoise, rng: np.random.Generator) -> Floats:
-    """A reading as the instrument shows it, (n,); every kind has its own random numbers, drawn in this order."""
+    """A reading with all its noise, (n,); every kind has its own random numbers, drawn in a fixed order."""
     n = len(reading)
     _, first = np.unique(run, return_inverse=True)
     out = reading + noise.white_um * rng.standard_normal(n)
@@ -43,5 +43,5 @@ def with_noise(reading: Floats, time_s: Floats, run: Ints, noise: ReadingNoise, 
 
 
 def quantised(values: Floats, step: float) -> Floats:
-    """Values in whole steps, (n,), without the digits that only binary arithmetic makes; 0: as they are."""
+    """Values in whole steps, (n,), without the residue of binary arithmetic; a step of 0 does not change them."""
     return np.round(np.round(values / step) * step, 9) if step > 0 else values

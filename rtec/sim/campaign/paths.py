@@ -1,6 +1,6 @@
-"""Paths that are read while the machine travels: circles of a ball bar; squares, lines and Ls on a grid plate.
+"""Paths that are read in motion: circles of a ball bar; squares, lines and Ls on a grid plate.
 
-They record velocities and accelerations along with the positions, so that servo effects can be true and be found.
+They record velocities and accelerations with the positions, so that servo effects can be simulated and diagnosed.
 """
 
 import itertools
@@ -20,11 +20,11 @@ from rtec.sim.campaign.settings import Path, Settings
 
 Floats = NDArray[np.float64]
 APPROACH_S = 2.0
-"""From one path to the next."""
+"""Time from one path to the next."""
 
 
 def make_path(machine: Machine, instrument: Instrument, settings: Settings) -> Cycle | None:
-    """Give the cycle of an instrument that reads on the way; None for one that stops at targets.
+    """The cycle of an instrument that reads in motion; None for one that stops at targets.
 
     Raises:
         ConfigError: the path leaves the travel of an axis, or has far too many readings.
@@ -48,7 +48,7 @@ def make_path(machine: Machine, instrument: Instrument, settings: Settings) -> C
 
 
 def readings_um(instrument: Instrument, machine: Machine, pose_mm: Floats, components: Mapping[str, Floats]) -> Floats:
-    """What an instrument reads of component errors, (readings, n): its arms, or the exact length of a ball bar."""
+    """Readings of component errors, (readings, n): by the instrument's arms, or the exact length of a ball bar."""
     if not isinstance(instrument, BallBar):
         out = np.zeros((len(instrument.columns()), len(pose_mm)))
         for component, values in components.items():
@@ -124,7 +124,7 @@ def _grid(machine: Machine, setup: GridEncoderSetup, path: Path) -> Cycle:
 
 
 def _legs(path: Path) -> Iterator[Leg]:
-    """Every straight piece, about the plate's middle."""
+    """Every straight piece, relative to the plate's middle."""
     half, run = 0.5 * path.travel_mm, 0
     for feed in path.feeds_mm_min:
         for kind in path.kinds:
@@ -147,4 +147,4 @@ PATHS: Mapping[str, tuple[Corners, ...]] = {
     "straight": (((-1, 0), (1, 0), (-1, 0)), ((0, -1), (0, 1), (0, -1))),
     "l_shaped": (((-1, -1), (0, -1), (0, 1)), ((1, -1), (0, -1), (0, 1))),
 }
-"""Corners in half travels about the middle; each is one run."""
+"""Corners in half travels relative to the middle; each path is one run."""

@@ -1,8 +1,8 @@
-"""The day of a measurement: which phase follows which, and what follows from it for every instant.
+"""The day of a measurement: the order of its phases, and the state at every instant.
 
-The warm-up is that of [G 3.1]: five cycles cold, then the machine is warmed by being on, then by moving its slides,
+The warm-up is that of [G 3.1]: five cycles cold; then the machine warms up, first switched on, then with moving slides,
 with five cycles after every step, over about eight hours. The drift test is that of [G 3.5]: constant speed, a reading
-every ten minutes, then off over night; more speeds follow.
+every ten minutes, then off overnight; more speeds follow.
 """
 
 from collections.abc import Mapping
@@ -20,13 +20,13 @@ from rtec.sim.campaign.settings import DayPhase, Settings, Targets
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 GRID_S = 30.0
-"""Temperatures are worked out at least so often."""
+"""Largest time between two computed temperatures."""
 LOAD_MM_S = 100.0
 DRIFT_EVERY_S = 600.0
 
 
 def phases_of(settings: Settings, instrument: Instrument) -> tuple[DayPhase, ...]:
-    """Phases of the day."""
+    """Phases of the day: the user's own, or those of the protocol, or the usual ones of the instrument."""
     if settings.phase:
         return settings.phase
     usual = USUAL.get(instrument.name, "warm_up")
@@ -34,8 +34,8 @@ def phases_of(settings: Settings, instrument: Instrument) -> tuple[DayPhase, ...
 
 
 def _warm_up(cycles: int) -> tuple[DayPhase, ...]:
-    def then(*between: DayPhase) -> list[DayPhase]:
-        return [p for b in between for p in (b, DayPhase(name=f"measure after {b.name}", cycles=cycles))]
+    def then(*steps: DayPhase) -> list[DayPhase]:
+        return [p for b in steps for p in (b, DayPhase(name=f"measure after {b.name}", cycles=cycles))]
 
     return (
         DayPhase(name="measure cold", cycles=cycles),
@@ -74,22 +74,22 @@ def _parts(cycles: int) -> tuple[DayPhase, ...]:
 
 
 USUAL = {"spindle_drift": "drift", "work_piece": "parts", "ball_bar": "cold", "grid_encoder": "cold"}
-"""Day of an instrument, where it is not the warm-up."""
+"""Protocol of an instrument, where it is not the warm-up."""
 PRESETS = {"warm_up": _warm_up, "cold": _cold, "drift": _drift, "parts": _parts}
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """Every instant at which anything is worked out, in order of time.
+    """Every computed instant, in order of time.
 
     Attributes:
         time_s, rpm: (n,).
-        on: (n,), 0 or 1; with `load` and `rpm` it holds until the next instant.
-        load: of each axis, mean speed over 100 mm/s, (n, axes).
+        on: (n,), 0 or 1; as `load` and `rpm` it holds until the next instant.
+        load: mean speed of each axis over 100 mm/s, (n, axes).
         pose_mm, direction: (n, axes).
         travelling: index of the axis that travels, -1 for none, (n,).
         run: (n,); 0 where no row is written.
-        read: is there a reading?
+        read: whether there is a reading, (n,).
         phase: index of the phase, (n,).
         phases: names.
         more: other channels by name, (n,); see `Cycle.more`.
@@ -113,10 +113,10 @@ class Timeline:
 
 
 def make_timeline(machine: Machine, settings: Settings, phases: tuple[DayPhase, ...], cycle: Cycle) -> Timeline:
-    """Put the phases one after another.
+    """Join the phases.
 
     Raises:
-        ConfigError: nothing is read in any of them, or far too much.
+        ConfigError: there is no reading in any of them, or far too many.
     """
     rows = sum(p.cycles * len(cycle.after_s) + p.hours * 3600.0 / _least_s(p, settings) for p in phases)
     if rows > MOST_ROWS:
@@ -137,7 +137,7 @@ def _least_s(phase: DayPhase, settings: Settings) -> float:
 
 
 class _Book:
-    """Collects pieces of the day."""
+    """Collects the instants of the day, phase by phase."""
 
     def __init__(self, machine: Machine, settings: Settings, cycle: Cycle) -> None:
         self._axes, self._cycle, self._log_every_s = len(machine.axes), cycle, settings.log_every_s
@@ -214,5 +214,5 @@ class _Book:
 
 
 def _resting(name: str, values: Floats, n: int) -> Floats:
-    """A channel while the machine stands where the cycle left it, (n,)."""
+    """A channel while the machine is at rest after a cycle, (n,)."""
     return np.zeros(n) if name.startswith(("v_", "a_")) else np.full(n, values[-1])

@@ -1,4 +1,4 @@
-"""From what a user types to a campaign: set-up of the instrument, settings from a file and from options."""
+"""Set-up of the instrument and settings of a campaign, from a file and from options."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,16 +17,16 @@ DRIFT_PROBES: Mapping[str, Any] = {
     "radial2": {"direction": "X", "offset_mm": [0.0, 0.0, -60.0]},
     "axial": {"direction": "Z"},
 }
-"""Of a spindle along Z, where the set-up names no probes: two radial ones 60 mm apart, and an axial one."""
+"""Default probes of a spindle along Z: two radial ones 60 mm apart, and an axial one."""
 
 
 def instrument_of(
     machine: Machine, instrument: str, axis: str | None, component: str | None, setup: Mapping[str, Any]
 ) -> Instrument:
-    """Set an instrument up; drift probes that are not named are the usual ones.
+    """Make an instrument with its set-up; drift probes without a set-up are the default ones.
 
     Raises:
-        MeasurementError: the instrument, a key, or something that the machine does not have.
+        MeasurementError: the instrument or a key is unknown, or the machine lacks something.
     """
     table = dict(setup)
     if instrument == "spindle_drift" and "probe" not in table:
@@ -35,10 +35,10 @@ def instrument_of(
 
 
 def setup_table(items: Sequence[str]) -> dict[str, Any]:
-    """Give the `[setup]` table of `key=value` texts; values as in TOML, or plain words.
+    """The `[setup]` table from `key=value` texts; values as in TOML, or plain words.
 
     Raises:
-        MeasurementError: a text is no key=value, or a key stands twice.
+        MeasurementError: a text is no key=value, or a key is repeated.
     """
     lines = []
     for item in items:
@@ -57,15 +57,15 @@ def setup_table(items: Sequence[str]) -> dict[str, Any]:
 
 
 def settings_of(file: Path | None, options: Mapping[str, Mapping[str, Any]], heads: Mapping[str, Any]) -> Settings:
-    """Give settings: those of a file, and over them the options that were typed (not None).
+    """Settings of a file, overridden by the options that are not None.
 
     Args:
         file: TOML with the tables of `Settings`.
-        options: by table: key to value.
-        heads: keys that stand in no table.
+        options: values by key, by table.
+        heads: values of the keys outside of tables.
 
     Raises:
-        ConfigError: file or options say something that cannot be.
+        ConfigError: the file or an option is invalid.
     """
     content = dict(read_toml(file)) if file is not None else {}
     if file is not None:
@@ -81,5 +81,5 @@ def settings_of(file: Path | None, options: Mapping[str, Mapping[str, Any]], hea
 
 
 def table_path(out: Path) -> Path:
-    """Where the table goes: NAME.csv unless the name ends in .csv or .parquet."""
+    """Path of the table: NAME.csv unless the name ends in .csv or .parquet."""
     return out if out.suffix in (".csv", ".parquet") else out.with_name(f"{out.name}.csv")

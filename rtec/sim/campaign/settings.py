@@ -1,6 +1,6 @@
-"""What a simulated measurement is made of: targets, protocol, temperatures, noise; also as a TOML file.
+"""Settings of a simulated measurement: targets, protocol, temperatures, noise; also as a TOML file.
 
-Every table may be left out; what is left out follows from machine and instrument.
+Every table is optional; defaults follow from machine and instrument.
 """
 
 from typing import Annotated, Literal
@@ -26,18 +26,19 @@ from rtec.tomlfile import Strict
 
 
 class Targets(Strict):
-    """Where is read.
+    """Targets of the readings.
 
     Attributes:
-        axes: that travel, one after another; by default the instrument's axis, or all for an instrument without one.
-        range_mm: first and last target; by default the travel less 2 % at each end.
-        step_mm: between targets; by default a twentieth of the range.
-        keep_step: take the step even where it is a multiple of the pitch, which hides the error that repeats with it.
-        dwell_s: standing at each target until it is read.
-        readings: taken at each target, one after another in the dwell.
-        feed_mm_min: between targets.
-        both_directions: there and back; by default yes, but not for a work piece.
-        at_mm: where the other axes stand, by name; with several places every line is measured at each. By default
+        axes: axes that travel, one after another; by default the instrument's axis, or all for an instrument without
+            one.
+        range_mm: first and last target; by default the travel without 2 % at each end.
+        step_mm: distance between targets; by default a twentieth of the range.
+        keep_step: use the step even if it is a multiple of the pitch, which hides the error that repeats with it.
+        dwell_s: time at rest at each target until it is read.
+        readings: number of readings at each target during the dwell.
+        feed_mm_min: feed between targets.
+        both_directions: approach from both directions; by default yes, except for a work piece.
+        at_mm: positions of the other axes, by name; with several positions every line is measured at each. By default
             the middle of the travel.
     """
 
@@ -59,15 +60,15 @@ class Targets(Strict):
 
 
 class Path(Strict):
-    """What is run by instruments that read while the machine travels: ball bar and grid encoder.
+    """Paths of the instruments that read in motion: ball bar and grid encoder.
 
     Attributes:
-        step_deg: between readings on a circle.
-        kinds: paths on a grid, one after another: round the square in both senses; straight lines through the middle
-            in both directions; L, towards the corner from both sides and then along the other axis.
+        step_deg: angle between readings on a circle.
+        kinds: paths on a grid, one after another: the square in both senses; straight lines through the middle in both
+            directions; L, to the corner from both sides and then along the other axis.
         travel_mm: side of the square, length of the lines.
-        feeds_mm_min: on a grid, each path at each of them; a ball bar has its feed in its set-up.
-        step_mm: between readings on a grid.
+        feeds_mm_min: feeds on a grid, each path at each of them; a ball bar has its feed in its set-up.
+        step_mm: distance between readings on a grid.
     """
 
     step_deg: Annotated[float, Field(ge=1e-3, le=360)] = 0.25
@@ -80,16 +81,16 @@ class Path(Strict):
 
 
 class DayPhase(Strict):
-    """A part of the day: either measuring, or letting the machine be.
+    """A part of the day, with or without measuring cycles.
 
     Attributes:
         name: for people.
-        cycles: measuring cycles; 0: none.
-        hours: how long it lasts where nothing is measured in cycles.
-        on: is the machine switched on?
+        cycles: number of measuring cycles; 0: none.
+        hours: duration of a phase without cycles.
+        on: whether the machine is switched on.
         rpm: spindle speed.
-        moving: share of the time in which the axes go to and fro at the feed.
-        read_every_s: readings at standstill, as drift probes take them; None: none.
+        moving: share of the time in which the axes move to and fro at the feed.
+        read_every_s: interval of readings at rest, as by drift probes; None: no readings.
     """
 
     name: str
@@ -110,15 +111,15 @@ class DayPhase(Strict):
 
 
 class SensorBody(Strict):
-    """First-order body under one temperature sensor: it goes towards the air's temperature plus these rises.
+    """First-order body under one temperature sensor: it approaches the air's temperature plus these steady-state rises.
 
     Attributes:
         tau_s: time constant.
-        on_degc: rise with the machine on and standing, for ever.
-        axis_degc: rise with an axis moving at 100 mm/s, for ever, by axis name.
-        spindle_degc: rise at 1000 1/min, for ever; goes with the power 1.2 of the speed.
-        follows: another sensor on the same body (collinear); nothing else is said then.
-        share: how much of that body's rise above the air this one has.
+        on_degc: rise with the machine on and at rest.
+        axis_degc: rise with an axis moving at 100 mm/s, by axis name.
+        spindle_degc: rise at 1000 1/min; grows with the power 1.2 of the speed.
+        follows: another sensor on the same body (collinear); excludes all other keys but `share`.
+        share: share of that body's rise above the air.
     """
 
     tau_s: SecondsPositive = 3600.0
@@ -130,7 +131,7 @@ class SensorBody(Strict):
 
 
 class Sensors(Strict):
-    """Faults that all temperature sensors share in kind: offset (drawn once each), noise, lag, resolution."""
+    """Errors of all temperature sensors: offset (drawn once for each), noise, lag, resolution."""
 
     offset_degc: DegreesSpread = 0.1
     noise_degc: DegreesSpread = 0.02
@@ -150,13 +151,13 @@ class Thermal(Strict):
 
 
 class ReadingNoise(Strict):
-    """Faults of the readings, µm (µrad where a reading is an angle).
+    """Errors of the readings, µm (µrad where a reading is an angle).
 
     Attributes:
         white_um: standard deviation of independent noise.
-        drift_um: standard deviation of noise that goes on from reading to reading (Ornstein-Uhlenbeck).
+        drift_um: standard deviation of noise that is correlated from reading to reading (Ornstein-Uhlenbeck).
         drift_tau_s: its correlation time.
-        run_offset_um: standard deviation of what each run is off as a whole.
+        run_offset_um: standard deviation of the offset of each run.
         resolution_um: steps of the display.
         outliers: share of readings that are wrong by about `outlier_um`, either way.
         lost: share of readings that are missing.
@@ -181,11 +182,11 @@ class Settings(Strict):
     """A whole campaign.
 
     Attributes:
-        protocol: name of a ready one.
-        phase: phases of one's own; win over `protocol`.
-        log_every_s: also write a row without reading so often between the cycles, so that slow channels are known.
-        nuisance: by name (zero, slope, …): standard deviation of what the instrument does not know, in its unit; by
-            default 5 µm, 20 µrad, 10 µm/m. 0: none.
+        protocol: name of a built-in protocol.
+        phase: the user's own phases; they override `protocol`.
+        log_every_s: interval of rows without a reading between the cycles, so that slow channels are recorded.
+        nuisance: standard deviation of each nuisance parameter (zero, slope, …), by name, in its unit; by default 5 µm,
+            20 µrad, 10 µm/m. 0: none.
     """
 
     targets: Targets = Targets()

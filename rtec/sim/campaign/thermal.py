@@ -1,9 +1,9 @@
-"""Temperatures of the day: first-order bodies under each sensor, the air, and what the sensors make of them.
+"""Temperatures of the day: first-order bodies under each sensor, the air, and the sensors' readings.
 
     τ T' = T_air + Σ rise · source - T            sources hold from one instant to the next
     air  = mean - swing · cos(2π t / 24 h) + walk  walk: Ornstein-Uhlenbeck
 
-Between two instants the air is taken as it is at the first; they are at most half a minute apart while anything waits.
+The air is constant between two instants, which are at most half a minute apart.
 """
 
 import re
@@ -28,10 +28,10 @@ SPINDLE_POWER = 1.2
 def temperatures_degc(
     machine: Machine, thermal: Thermal, timeline: Timeline, rng: np.random.Generator
 ) -> dict[str, Floats]:
-    """True temperature where each sensor sits, by sensor name, (n,).
+    """True temperature at the place of each sensor, by sensor name, (n,).
 
     Raises:
-        ConfigError: a body for a sensor that is not there, or one that follows nothing.
+        ConfigError: a body's sensor does not exist, or a body follows a sensor that does not exist.
     """
     bodies = bodies_of(machine, thermal)
     air = _air(thermal, timeline.time_s, rng)
@@ -46,14 +46,14 @@ def temperatures_degc(
 
 
 def sensor_readings_degc(true_degc: Floats, time_s: Floats, sensors: Sensors, rng: np.random.Generator) -> Floats:
-    """What a sensor says, (n,): lag, offset, noise, resolution."""
+    """Readings of a sensor, (n,): with lag, offset, noise, resolution."""
     out = lag_track(np.ascontiguousarray(true_degc), time_s, sensors.lag_s) if sensors.lag_s > 0 else true_degc.copy()
     out = out + sensors.offset_degc * rng.standard_normal() + sensors.noise_degc * rng.standard_normal(len(out))
     return quantised(out, sensors.resolution_degc)
 
 
 def bodies_of(machine: Machine, thermal: Thermal) -> dict[str, SensorBody]:
-    """Body of every sensor; those that are not given follow from the names."""
+    """Body of every sensor; by default it follows from the sensor's name."""
     for name, body in thermal.body.items():
         if name not in machine.sensor_names:
             hint = nearest(name, machine.sensor_names)
@@ -73,7 +73,7 @@ def bodies_of(machine: Machine, thermal: Thermal) -> dict[str, SensorBody]:
 
 
 def usual_body(machine: Machine, sensor: str, number: int) -> SensorBody:
-    """Body of a sensor by the words in its name; no two have quite the same time constant."""
+    """Body of a sensor by the words in its name; time constants differ slightly by `number`."""
     words = set(re.split(r"[_\d]+", sensor.lower()))
     slower = 1.0 + 0.13 * number
     if words & {"air", "ambient", "room"}:

@@ -1,4 +1,4 @@
-"""What is true of the machine that is measured: effects of a model file, and effects written on one line."""
+"""The truth of the simulated machine: effects of a model file, and effects written on one line."""
 
 import ast
 import itertools
@@ -20,10 +20,10 @@ FORM = "write NAME,key=value,…, for example scale,component=EXX,axis=X,k=12"
 
 
 def truth_of(machine: Machine, known: Model | None = None, effects: Sequence[str] = (), name: str = "truth") -> Model:
-    """Give the true model: the effects of a model, then those of the texts.
+    """The true model: the effects of a model, then those of the texts.
 
     Raises:
-        ModelError: a text says something that cannot be; the message names it.
+        ModelError: a text is invalid; the message names it.
     """
     base = known or Model(machine, name=name)
     added = tuple(effect_from_text(text, machine) for text in effects)
@@ -35,10 +35,10 @@ def truth_of(machine: Machine, known: Model | None = None, effects: Sequence[str
 def effect_from_text(text: str, machine: Machine) -> FittedEffect:
     """Read `NAME,key=value,…`: arguments, coefficients and non-linear parameters of one effect, in any order.
 
-    An expression of one's own is written so, too: `expression,component=EYX,expression=A*exp(-((x-c)/w)**2),A=3,…`.
+    The user's own expression has the same form: `expression,component=EYX,expression=A*exp(-((x-c)/w)**2),A=3,…`.
 
     Raises:
-        ModelError: what is wrong in it.
+        ModelError: the text is invalid; the message has the fault.
     """
     where = f"effect {text!r}"
     head, *items = split(text)
@@ -71,12 +71,12 @@ def effect_from_text(text: str, machine: Machine) -> FittedEffect:
 
 
 def _declared(given: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """What an expression declares of its numbers: as many as can be are linear, the others are free.
+    """Keys `linear` and `free` of an expression: as many of its numbers as possible are linear.
 
-    A free one may take any value within a factor of ten: true values are not searched for.
+    The bounds of a free one are a factor of ten around its value: true values are not searched for.
 
     Raises:
-        ModelError: it is no expression.
+        ModelError: the text is no expression.
     """
     numbers = [k for k, v in given.items() if type(v) in (int, float) and k not in Expression.model_fields]
     try:
@@ -90,7 +90,7 @@ def _declared(given: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _subsets(names: Sequence[str]) -> Iterator[set[str]]:
-    """All of them, the largest first; of many names only the whole and each alone."""
+    """All subsets, the largest first; of many names only the whole set and each name alone."""
     sizes = range(len(names), 0, -1) if len(names) <= MOST_NAMES else (len(names), 1)
     return (set(chosen) for size in sizes for chosen in itertools.combinations(names, size))
 
@@ -108,7 +108,7 @@ def _free(value: float) -> dict[str, float]:
 
 
 def split(text: str) -> list[str]:
-    """Cut at commas that stand in no brackets and no quotes."""
+    """Split at commas outside of brackets and quotes."""
     parts, depth, quote = [""], 0, ""
     for letter in text:
         if quote:
@@ -127,7 +127,7 @@ def split(text: str) -> list[str]:
 
 
 def toml_value(text: str) -> Any:
-    """A number, list, true or quoted text as TOML reads it; anything else is text as it stands."""
+    """A TOML value (number, list, true, quoted text); anything else is the text itself."""
     try:
         return tomllib.loads(f"value = {text.strip()}")["value"]
     except tomllib.TOMLDecodeError:

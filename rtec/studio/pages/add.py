@@ -1,4 +1,4 @@
-"""Add and watch: effects are added, the residual moves, and the error falls down its staircase to the noise floor."""
+"""Add and watch: adds effects, moves the residual, and shows the staircase of errors down to the noise floor."""
 
 from functools import partial
 from shlex import quote
@@ -79,26 +79,29 @@ async def _refit(session: TabSession) -> None:
         session.on_change()
 
 
-def _question(session: TabSession, asked: Any) -> None:
+def _question(session: TabSession, question: Any) -> None:
     with ui.element("div").classes("card chosen").props('role="alertdialog" aria-label="Question"'):
-        if isinstance(asked, RefitQuestion):
-            unit = UNITS.get(asked.unit, asked.unit)
-            Words("h2", f"Add {asked.what}, a further temperature?" if asked.what else "Refit the model's own numbers?")
-            before, after = two_numbers(asked.before, asked.after)
+        if isinstance(question, RefitQuestion):
+            unit = UNITS.get(question.unit, question.unit)
+            Words(
+                "h2",
+                f"Add {question.what}, a further temperature?" if question.what else "Refit the model's own numbers?",
+            )
+            before, after = two_numbers(question.before, question.after)
             Words("p", f"The residual on held-out runs falls from {before} to {after} {unit}.")
             with ui.element("div").classes("row"):
-                button("Add" if asked.what else "Refit", lambda: session.answer(True), main=True)
-                button("Leave it out" if asked.what else "Keep the numbers", lambda: session.answer(False))
-        elif isinstance(asked, StepQuestion):
-            _ask_step(session, asked)
+                button("Add" if question.what else "Refit", lambda: session.answer(True), main=True)
+                button("Leave it out" if question.what else "Keep the numbers", lambda: session.answer(False))
+        elif isinstance(question, StepQuestion):
+            _ask_step(session, question)
 
 
-def _ask_step(session: TabSession, asked: StepQuestion) -> None:
-    d = asked.diagnosis.found
-    Words("h2", f"Step {asked.number}: add {d.findings[0].label}?")
-    Words("p", asked.diagnosis.page.lead)
-    if 1 in asked.diagnosis.curves:
-        Chart(figures.evidence_figure(asked.diagnosis.curves[1][0]), "Residual and the proposed effect")
+def _ask_step(session: TabSession, question: StepQuestion) -> None:
+    d = question.diagnosis.found
+    Words("h2", f"Step {question.number}: add {d.findings[0].label}?")
+    Words("p", question.diagnosis.page.lead)
+    if 1 in question.diagnosis.curves:
+        Chart(figures.evidence_figure(question.diagnosis.curves[1][0]), "Residual and the proposed effect")
     with ui.element("div").classes("row"):
         for f in d.findings[:4]:
             fall = percent(max(f.heldout_drop, 0.0))
@@ -119,7 +122,7 @@ def _stairs(session: TabSession, step: ModelStep) -> None:
 
 
 def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list[float], float | None, str, int]:
-    """Names, errors, floor, unit, and the number of the step that is shown."""
+    """Names, errors, floor, unit, and the number of the current step."""
     last = session.steps[-1].model
     steps, own = steps_of(last), steps_of(step.model)
     if not steps:
@@ -131,7 +134,7 @@ def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list
 
 
 def _residual(session: TabSession, view: CompareView) -> None:
-    """The residual of the reading column that was worst, moving from where it was before."""
+    """The residual of the worst reading column, animated from that of the step before."""
     before = _before(session)
     source = before if before is not None else view
     k = worst(source.series)
@@ -144,7 +147,7 @@ def _residual(session: TabSession, view: CompareView) -> None:
             Chart(after, "The residual over position").classes("tall").props["data-moved"] = "yes"
             return
         began = before.series[k]
-        rows = figures.drawn(began, began.channels[over], began.left)
+        rows = figures.drawn(began, began.channels[over], began.residuals)
         chart = Chart(
             _fixed(figures.residual_over(began, over, "", rows), source, k), "The residual over position"
         ).classes("tall")
@@ -159,18 +162,18 @@ def _before(session: TabSession) -> CompareView | None:
 
 
 def _fixed(figure: dict[str, Any], scale: CompareView, k: int) -> dict[str, Any]:
-    """The figure on the scale of the larger residual, so that what falls is seen to fall."""
-    most = 1.08 * float(np.abs(scale.series[k].left).max())
+    """The figure on the scale of the larger residual, so that the fall is visible."""
+    most = 1.08 * float(np.abs(scale.series[k].residuals).max())
     figure["layout"]["yaxis"]["range"] = [-most, most]
     return figure
 
 
 def commands(session: TabSession, out: str) -> list[str]:
-    """What does the same on the command line, up to the step that is shown.
+    """Equivalent commands of the command line, up to the current step.
 
     Args:
         session: the tab.
-        out: file that holds it.
+        out: file of the resulting model.
     """
     lines: list[list[str]] = []
     source = session.model
@@ -180,7 +183,7 @@ def commands(session: TabSession, out: str) -> list[str]:
         target = out if last else session.saved.get(k, f"step-{k}.toml")
         if kind == "improve":
             if not last and session.steps[k + 1].words[0] == "improve":
-                continue  # one command makes all of its steps
+                continue  # one command for all of its steps
             lines.append(["rtec", "improve", source, *session.chosen, "-o", target])
         else:
             lines.append(["rtec", "add", source, *rest, "--data", *session.chosen, "-o", target])
@@ -209,16 +212,16 @@ def _save(session: TabSession) -> None:
             except RtecError as e:
                 name.error = str(e)
 
-        # Above what grows and shrinks with the name, so that nothing jumps away under the pointer.
+        # Above the parts whose height depends on the name, so that nothing moves under the pointer.
         button("Save", save, main=True)
         name.on_value_change(Area(show).redo)
 
 
 def keep(session: TabSession, name: str) -> None:
-    """Save the model of the step that is shown, as the command line saves it.
+    """Save the model of the current step, as the command line saves it.
 
     Raises:
-        RtecError: the name is not possible, the file is another's, or it cannot be written.
+        RtecError: the name is not possible, the file belongs to another tab or program, or it cannot be written.
     """
     known = session.written.get(name) if name in session.saved.values() else None
     session.written[name] = session.folder.save_model(session.steps[session.at].model, name, known)

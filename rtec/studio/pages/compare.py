@@ -1,4 +1,4 @@
-"""Compare: the model beside the measurements, and where it fails."""
+"""Compare: the model and the measurements, and where the model fails."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ def _head(session: TabSession) -> None:
         return
     s = step.residual[worst(step.residual)]
     Words("p", "The residual is drawn. Its noise floor and where it is worst are being worked out.", "lead")
-    measured, residual = (f"{v}\u00a0{s.unit}" for v in sizes(_rms(s.measured), _rms(s.left)))
+    measured, residual = (f"{v}\u00a0{s.unit}" for v in sizes(_rms(s.measured), _rms(s.residuals)))
     tiles([(measured, "measured"), (residual, "residual"), ("…", "noise floor")])
 
 
@@ -77,18 +77,18 @@ def _tail(session: TabSession) -> None:
 
 
 def worst(series: Sequence[SeriesView]) -> int:
-    """The reading column that the model fails most on: against its noise, where that is known."""
+    """Index of the reading column with the largest residual, relative to its noise where that is known."""
     return int(np.argmax([s.residual / (max(s.floor, 1e-9) if s.floor >= 0.0 else 1.0) for s in series]))
 
 
 @dataclass
 class _Plot:
-    """A plot and what is in it.
+    """A plot and its readings.
 
     Attributes:
-        chart: on the page.
-        make: its figure of some readings.
-        rows: those readings; None for a plot of no single readings.
+        chart: the plot on the page.
+        make: makes its figure from rows of readings.
+        rows: rows of its readings; None for a plot without single readings.
     """
 
     chart: Chart
@@ -109,13 +109,13 @@ class _Plots:
 
     @property
     def _over(self) -> str:
-        wanted = self._session.view.get("over", "")
-        return wanted if wanted in self._series.channels else next(iter(self._series.channels))
+        chosen = self._session.view.get("over", "")
+        return chosen if chosen in self._series.channels else next(iter(self._series.channels))
 
     @property
     def _colour(self) -> str:
-        wanted = self._session.view.get("colour", "")
-        return wanted if wanted in self._series.channels else ""
+        chosen = self._session.view.get("colour", "")
+        return chosen if chosen in self._series.channels else ""
 
     def build(self) -> None:
         s = self._series
@@ -139,7 +139,7 @@ class _Plots:
                 "time",
                 "The residual over time, with the temperatures",
                 lambda rows: figures.over_time(self._series, rows),
-                lambda box: figures.drawn(s, s.channels[time], s.left, box),
+                lambda box: figures.drawn(s, s.channels[time], s.residuals, box),
             )
             places = [t for t in s.channels if t.endswith(", mm")]
             if len(places) > 1:
@@ -152,7 +152,7 @@ class _Plots:
                     "polar",
                     "Deviation from the circle, magnified",
                     lambda rows: figures.polar(s, angle, rows),
-                    lambda _: figures.drawn(s, angle, s.left),
+                    lambda _: figures.drawn(s, angle, s.residuals),
                 )
         if len(s) > figures.MOST:
             Words(
@@ -163,7 +163,7 @@ class _Plots:
             )
 
     def know(self, view: CompareView) -> None:
-        """Take the noise floor and the wrong readings into the plots that are there."""
+        """Add the noise floor and the outliers to the existing plots."""
         new = next((s for s in view.series if s.name == self._series.name), None)
         own = self._series.name.partition(", ")[0]
         wrong = tuple(o for o in view.outliers if o.measurement == own)
@@ -180,7 +180,7 @@ class _Plots:
 
     def _over_channel(self, what: str) -> Callable[[figures.Box | None], Ints]:
         s = self._series
-        up = s.left if what == "residual" else s.measured
+        up = s.residuals if what == "residual" else s.measured
         return lambda box: figures.drawn(s, s.channels[self._over], up, box)
 
     def _choice(self, key: str, label: str, options: dict[str, str], value: str, *, rebuild: bool = False) -> None:
@@ -237,7 +237,7 @@ class _Plots:
         self._draw_also(rows)
 
     def _draw_also(self, rows: Ints) -> None:
-        """What is marked in one plot is drawn in all."""
+        """Draw the readings that are marked in one plot in all plots."""
         for key, plot in self._plots.items():
             if plot.rows is not None and not np.isin(rows, plot.rows).all():
                 plot.rows = np.union1d(plot.rows, rows)
@@ -246,8 +246,8 @@ class _Plots:
 
 def _row_words(s: SeriesView, i: int) -> str:
     channels = [f"{t.partition(', ')[0]} {v[i]:.5g} {t.partition(', ')[2]}".strip() for t, v in s.channels.items()]
-    digits = decimals(_rms(s.left))
-    measured, predicted, residual = (number(v[i], digits) for v in (s.measured, s.predicted, s.left))
+    digits = decimals(_rms(s.residuals))
+    measured, predicted, residual = (number(v[i], digits) for v in (s.measured, s.predicted, s.residuals))
     return (
         f"{s.name}, row {s.row[i]}, run {s.run[i]}: measured {measured}, predicted {predicted}, residual {residual} "
         f"{s.unit}. {'; '.join(channels)}."
@@ -255,7 +255,7 @@ def _row_words(s: SeriesView, i: int) -> str:
 
 
 def _marked_words(s: SeriesView, rows: Ints, drawn: str) -> str:
-    left = s.left[rows]
+    left = s.residuals[rows]
     spans = [
         f"{t.partition(', ')[0]} {v[rows].min():.5g} to {v[rows].max():.5g} {t.partition(', ')[2]}".strip()
         for t, v in list(s.channels.items())[:4]

@@ -1,4 +1,4 @@
-"""Diagnose: which effect is missing, with its curve through the residual, its rivals, and what could not be seen."""
+"""Diagnose: the missing effect, with its curve through the residual, its rivals, and effects that were not testable."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -13,17 +13,17 @@ from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
 from rtec.studio.parts import Words, button, heading, lacking, section, table, tiles, trouble
 from rtec.studio.session import TabSession
-from rtec.studio.tasks import SHOWN, DiagnosisView, Wanted
+from rtec.studio.tasks import SHOWN, DiagnosisView, EffectRequest
 from rtec.wording import counted, odds, percent, probability, sizes
 
 FIRST = 3
-"""Candidates that are not folded away."""
+"""Number of candidates that are shown unfolded."""
 ODDS: Final = (
     "Odds and probability: among these candidates and 'nothing is missing'. An effect that none of them describes is "
     "not counted."
 )
 WIDE, HIGH = 220, 100
-"""Of the picture of an effect."""
+"""Size of the picture of an effect."""
 
 
 VERDICTS: Final[Mapping[Verdict, tuple[str, str]]] = {
@@ -33,7 +33,7 @@ VERDICTS: Final[Mapping[Verdict, tuple[str, str]]] = {
     "undecided": ("These readings do not decide what is missing", "open"),
     "nothing_missing": ("Nothing is missing", "good"),
 }
-"""Heading, and kind of the card."""
+"""Heading and kind of the card, by kind of answer."""
 
 
 def build(session: TabSession) -> None:
@@ -122,10 +122,10 @@ def _cards(session: TabSession, view: DiagnosisView) -> None:
             Words("h2", "The nearest simple expression")
             Words("p", f"{u.expression}, feeds {u.feeds}")
             Words("p", "It describes the shape of the error, not its cause.", "small")
-            wanted = Wanted("", u.feeds, (), u.expression, u.parameters)
+            request = EffectRequest("", u.feeds, (), u.expression, u.parameters)
             with ui.element("div").classes("row"):
                 button("Show its curve", lambda: _show(session, 0))
-                button("Add", lambda: _add(session, wanted, 0), main=not (shown and shown[0].accepted))
+                button("Add", lambda: _add(session, request, 0), main=not (shown and shown[0].accepted))
             trouble(session, "add_0")
 
 
@@ -152,7 +152,7 @@ def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
             if f.rank in session_curves(session):
                 button("Show its curve", lambda: _show(session, f.rank))
             if f.partner is None:
-                button("Add", lambda: _add(session, Wanted.of(f), f.rank), main=f.accepted and f.rank == 1)
+                button("Add", lambda: _add(session, EffectRequest.of(f), f.rank), main=f.accepted and f.rank == 1)
             else:
                 Words(
                     "p", f"Only together with {f.partner.label}: Improve on the page Add and watch adds both.", "small"
@@ -167,7 +167,7 @@ def session_curves(session: TabSession) -> list[int]:
 
 
 def _picture(kind: type[Effect]) -> None:
-    """The shape of an effect from the catalogue, drawn with its usual size; curves after the first are dashed."""
+    """Show the shape of an effect of the catalogue with its usual size; curves after the first are dashed."""
     from rtec.report.effects_figures import shape_of
 
     shape = shape_of(kind)
@@ -192,8 +192,8 @@ def _show(session: TabSession, rank: int) -> None:
     session.on_change()
 
 
-async def _add(session: TabSession, wanted: Wanted, rank: int) -> None:
-    if await actions.add(session, wanted, f"add_{rank}"):
+async def _add(session: TabSession, request: EffectRequest, rank: int) -> None:
+    if await actions.add(session, request, f"add_{rank}"):
         session.view["moved"] = "yes"
         session.go("add")
 

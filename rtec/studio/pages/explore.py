@@ -1,4 +1,4 @@
-"""Explore: the machine from its chain with its error magnified, effect by effect, and what a part would measure."""
+"""Explore: the machine's chain with its magnified error, effect by effect, and the errors of a part."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,12 +22,12 @@ from rtec.wording import number as shown
 from rtec.wording import significant
 
 PLACES: Final = 5
-"""Of each axis on the volumetric map."""
+"""Number of places of each axis on the volumetric map."""
 SPEED_RPM, DEGC = 6000.0, 25.0
 THIN, ROOM = 0.3, 0.65
-"""Least extent of the room, as a share of its largest; half of its width over that of the machine."""
+"""Smallest extent of the room as a share of its largest; half of its width over that of the machine."""
 MAGNIFIED: Final = (0.0, 5.0)
-"""Powers of ten."""
+"""Range of the magnification, as powers of ten."""
 
 
 def build(session: TabSession) -> None:
@@ -51,7 +51,7 @@ async def _read(session: TabSession) -> None:
 
 
 class _Explorer:
-    """The controls, and what they move."""
+    """The controls and the plots that they change."""
 
     def __init__(self, session: TabSession, model: Model) -> None:
         self._session, self._model = session, model
@@ -112,19 +112,19 @@ class _Explorer:
                 label(ui.checkbox(words, value=True, on_change=partial(self._toggle, k)), words)
 
     def _slider(self, key: str, name: str, low: float, high: float, value: float) -> None:
-        """A slider, beside it a field for numbers in German and in English; without a key it is the magnification."""
+        """A slider with a field for numbers in German and in English; without a key it is the magnification."""
 
-        def said(v: float) -> str:
+        def as_text(v: float) -> str:
             return shown(v, 1) if key else significant(10.0**v, 2)
 
         with ui.element("div").classes("setting"):
             Words("span", name)
             slider = ui.slider(min=low, max=high, step=(high - low) / 200.0 or 1.0, value=value)
             label(slider.props("throttle=0.15"), name)
-            field = ui.input(value=said(value)).props("dense outlined")
+            field = ui.input(value=as_text(value)).props("dense outlined")
             label(field, f"{name}, number")
 
-        written, focused = said(value), False
+        written, focused = as_text(value), False
 
         def focus(now: bool) -> None:
             nonlocal focused
@@ -133,8 +133,8 @@ class _Explorer:
         def moved(event: events.ValueChangeEventArguments[float | None]) -> None:
             nonlocal written
             now = float(event.value or 0.0)
-            if not (focused and field.value != written):  # else what is being typed would be lost
-                written = field.value = said(now)
+            if not (focused and field.value != written):  # else the text that the user is typing would be lost
+                written = field.value = as_text(now)
                 field.error = None
             if key:
                 self._state[key] = now
@@ -142,9 +142,9 @@ class _Explorer:
                 self._power = now
             self._redraw()
 
-        def typed() -> None:
+        def apply() -> None:
             nonlocal written
-            if field.value == written:  # rounded; what it stands for is not
+            if field.value == written:  # the text is rounded, the value is not
                 field.error = None
                 return
             try:
@@ -162,7 +162,7 @@ class _Explorer:
 
         slider.on_value_change(moved)
         field.on("focus", lambda: focus(True)).on("blur", lambda: focus(False))
-        field.on("keydown.enter", typed).on("blur", typed)
+        field.on("keydown.enter", apply).on("blur", apply)
 
     def _set(self, key: str, event: events.ValueChangeEventArguments[Any]) -> None:
         self._state[key] = float(event.value)
@@ -177,7 +177,7 @@ class _Explorer:
             chart.show(figure)
 
     def _figures(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-        """Machine, volumetric map and bars; and the headline of this place."""
+        """Figures of machine, volumetric map and bars; updates the headline."""
         model = replace(self._model, effects=tuple(f for k, f in enumerate(self._model.effects) if k not in self._off))
         machine = model.machine
         error = model.predict(dict(self._state))
@@ -194,7 +194,7 @@ class _Explorer:
 
 
 def _part(model: Model, state: Mapping[str, float]) -> str:
-    """What a cylinder of 200 mm would measure, in a sentence."""
+    """Sentence on the errors of a cylinder of 200 mm."""
     try:
         c = cylinder(model, state)
     except RtecError as e:
@@ -220,7 +220,7 @@ def _axis3(title: str) -> dict[str, Any]:
 
 
 def _layout3(machine: Machine) -> dict[str, Any]:
-    """A room that holds the machine at both ends of its travels, and stays as it is while something moves in it."""
+    """Layout of a room with space for the machine at both ends of its travels, so that it is constant during motion."""
     zero = np.zeros((1, 3))
     ends = [{a.name: a.travel_mm[end] for a in machine.axes} for end in (0, 1)]
     places = [zero, *(nodes(machine, {}, pose, side).place_mm for pose in ends for side in ("tool", "work"))]
@@ -258,7 +258,7 @@ def _scene(machine: Machine, sides: Mapping[str, ChainNodes], magnified: float) 
 
 
 def _names_at(n: ChainNodes, *, base: bool) -> list[str]:
-    """Names of the links, those at one place together; the base, which both sides have, where it is wanted."""
+    """Names of the links, joined for links at one place; with the base, which both sides have, if `base`."""
     out = [""] * len(n.names)
     first = 0 if base else 1
     for k in range(first, len(n.names)):
@@ -269,7 +269,7 @@ def _names_at(n: ChainNodes, *, base: bool) -> list[str]:
 
 
 def _volume(model: Model, state: Mapping[str, float], magnified: float) -> dict[str, Any]:
-    """Nominal places of the tool tip over the travels, and where it really is, joined by lines."""
+    """Nominal and predicted places of the tool tip over the travels, joined by lines."""
     machine = model.machine
     grid = np.array(list(product(*(np.linspace(*a.travel_mm, PLACES) for a in machine.axes))))
     at: dict[str, Any] = {k: np.full(len(grid), v) for k, v in state.items()}

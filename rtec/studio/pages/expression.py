@@ -1,4 +1,4 @@
-"""An effect of one's own on the page Add and watch: an expression, its curve while it is typed, and sliders."""
+"""The user's own effect on the page Add and watch: an expression, its curve during typing, and sliders."""
 
 from typing import Any, Final
 
@@ -10,7 +10,7 @@ from rtec.studio.chart import Chart
 from rtec.studio.jobs import Cancelled, Job
 from rtec.studio.parts import Words, at_fault, button, number, soon, trouble
 from rtec.studio.session import TabSession, blamed
-from rtec.studio.tasks import Wanted
+from rtec.studio.tasks import EffectRequest
 from rtec.wording import significant
 
 HELP: Final = (
@@ -22,7 +22,7 @@ HELP: Final = (
 )
 STEPS: Final = 200
 FIELDS: Final = {"--expr": "own", "--component": "feeds", "--param": "params"}
-"""The field that takes what an option of `rtec add` does."""
+"""Field of the page for each option of `rtec add`."""
 
 
 def own_expression(session: TabSession) -> None:
@@ -71,7 +71,7 @@ class _Form:
             for line in HELP:
                 Words("p", line)
         self._sliders = ui.element("div").style("display: grid; gap: .3rem")
-        self._said = Words("p", "Its curve through the residual appears here while you type.", "small").props(
+        self._message = Words("p", "Its curve through the residual appears here while you type.", "small").props(
             'role="status"'
         )
         self._chart = Chart(
@@ -86,7 +86,7 @@ class _Form:
         if view.get("own"):
             soon(self._changed)
 
-    def _wanted(self, theta: dict[str, float] | None = None) -> Wanted:
+    def _request(self, theta: dict[str, float] | None = None) -> EffectRequest:
         params = []
         for part in (self._params.value or "").split():
             name, _, rest = part.partition("=")
@@ -99,7 +99,7 @@ class _Form:
             self._ranges[name] = (numbers[0], numbers[1], numbers[2])
             begin = (theta or {}).get(name, numbers[0])
             params.append(f"{name}={begin:.10g}:{numbers[1]:.10g}..{numbers[2]:.10g}")
-        return Wanted("", self._component.value or "", (), (self._text.value or "").strip(), tuple(params))
+        return EffectRequest("", self._component.value or "", (), (self._text.value or "").strip(), tuple(params))
 
     async def _changed(self) -> None:
         self._session.view |= {
@@ -110,12 +110,12 @@ class _Form:
         self._ranges = {}
         self._text.error = self._component.error = self._params.error = None
         try:
-            wanted = self._wanted()
+            request = self._request()
         except RtecError as e:
             self._params.error = str(e)
             return
         self._make_sliders()
-        await self._draw(wanted)
+        await self._draw(request)
 
     def _make_sliders(self) -> None:
         self._sliders.clear()
@@ -125,7 +125,7 @@ class _Form:
             async def moved(event: Any) -> None:
                 values[name] = float(event.value)
                 label.set_text(f"{name} = {significant(values[name], 4)}")
-                await self._draw(self._wanted(values))
+                await self._draw(self._request(values))
 
             return moved
 
@@ -139,35 +139,35 @@ class _Form:
                     slider.props("throttle=0.3").style("flex: 1; max-width: 40rem")
                     slider.props["aria-label"] = f"parameter {name}"
 
-    async def _draw(self, wanted: Wanted) -> None:
+    async def _draw(self, request: EffectRequest) -> None:
         step = self._session.step
-        if not wanted.expression or step is None:
+        if not request.expression or step is None:
             return
         if self._preview is not None:
             self._preview.cancel()
         job = self._preview = Job("Preview", lambda: None)
         try:
-            shown = await job.run(tasks.preview, step.model, wanted, self._session.files)
+            shown = await job.run(tasks.preview, step.model, request, self._session.files)
         except Cancelled:
             return
         except RtecError as e:
-            said, key = blamed(str(e), FIELDS, "own")
-            {"own": self._text, "feeds": self._component, "params": self._params}[key].error = said
+            message, key = blamed(str(e), FIELDS, "own")
+            {"own": self._text, "feeds": self._component, "params": self._params}[key].error = message
             return
         if not self._chart.is_deleted:
             self._text.error = None
-            self._said.set_text(shown.words)
+            self._message.set_text(shown.words)
             self._chart.show(figures.evidence_figure(shown.evidence))
 
     async def _add(self) -> None:
         try:
-            wanted = self._wanted()
+            request = self._request()
         except RtecError as e:
             self._params.error = str(e)
             return
-        if not wanted.expression:
+        if not request.expression:
             self._text.error = "Write an expression, for example A*sin(2*pi*x/p + phi)"
             return
-        if await actions.add(self._session, wanted, "own_add", FIELDS):
+        if await actions.add(self._session, request, "own_add", FIELDS):
             self._session.view |= {"own": "", "params": "", "moved": "yes"}
             self._session.on_change()

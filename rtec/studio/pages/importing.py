@@ -1,4 +1,4 @@
-"""Import: what a file of another program would become, and what only people know of it."""
+"""Import: preview of a file of another program, and questions that only the user can answer."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -43,9 +43,9 @@ def build(session: TabSession) -> None:
     _page(session, file, file.looked)
 
 
-async def _look(session: TabSession, wanted: ForeignFile | None = None, beside: str = "") -> None:
-    """See what the file becomes with other answers or columns; those are kept only if it can be read with them."""
-    file = wanted or session.foreign
+async def _look(session: TabSession, other: ForeignFile | None = None, beside: str = "") -> None:
+    """Preview the file with other answers or columns, which are kept only if the file can be read with them."""
+    file = other or session.foreign
     if file is None:
         return
     machine = session.machine_path if session.machine else None
@@ -56,7 +56,7 @@ async def _look(session: TabSession, wanted: ForeignFile | None = None, beside: 
         return
     if session.foreign is not None and session.foreign.name == file.name:
         session.foreign = replace(file, looked=found)
-    session.on_change()  # another file that was opened meanwhile is looked at now
+    session.on_change()  # now preview a file that was opened meanwhile
 
 
 def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
@@ -137,7 +137,7 @@ def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
 
 
 def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "ForeignColumn", target: str) -> None:
-    """What a column becomes, its unit and sign, to be clicked; time and run have tables of their own in the map."""
+    """Menus for a column's target, unit and sign; time and run have tables of their own in the map."""
     name = column.name
     if column.becomes and not target:
         Words("td", column.becomes, "words")
@@ -178,7 +178,7 @@ def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "
 
 
 def edit(view: ImportView, name: str, changed: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The columns of the proposed map with another `target`, `unit` or `sign` of one of them."""
+    """The columns of the proposed map with a changed `target`, `unit` or `sign` of one of them."""
     columns = {t: dict(c) for t, c in view.proposal.content.get("column", {}).items()}
     old = next((t for t, c in columns.items() if c["from"] == name), NOT_USED)
     entry = columns.pop(old, {"from": name})
@@ -226,7 +226,7 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
         name = draft(session, f"import_{file.name}", "Name of the measurement", f"{stem}-imported")
 
         def show() -> None:
-            command(typed(session, file, name.value or ""), "The same on the command line, in this folder:")
+            command(import_command(session, file, name.value or ""), "The same on the command line, in this folder:")
 
         async def run() -> None:
             try:
@@ -256,8 +256,8 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
         name.on_value_change(Area(show).redo)
 
 
-def typed(session: TabSession, file: ForeignFile, out: str) -> str:
-    """What imports it on the command line; columns that were changed by hand are in the map."""
+def import_command(session: TabSession, file: ForeignFile, out: str) -> str:
+    """Equivalent command of the command line; columns that were changed by hand are in the map."""
     machine = ["--machine", session.machine] if session.machine else []
     answers = [w for k, v in file.answers.items() for w in ("--answer", f"{k}={v}")]
     how = ["--map", f"{out}-map.toml"] if file.edited is not None else answers

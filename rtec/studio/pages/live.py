@@ -1,4 +1,4 @@
-"""Live: what a running daemon requests and applies, whether it follows the model, and why it does not."""
+"""Live: requested and applied corrections of a running daemon, whether it follows the model, and if not, why."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -22,7 +22,7 @@ ORDERS: Final = {
 }
 BARS: Final = (("requested", "requested_um"), ("applied", "applied_um"))
 EVERY: Final = 10
-"""Tables are drawn at every so many answers, bars at each."""
+"""Tables are redrawn once for this many answers, bars at each."""
 
 
 def build(session: TabSession) -> None:
@@ -36,7 +36,7 @@ def build(session: TabSession) -> None:
 
 
 def state_of(found: dict[str, Any] | None, trouble: str) -> tuple[str, str]:
-    """The state in one word with its reason, and the class of its colour."""
+    """The state in one word with its reason, and its CSS class."""
     if found is None:
         return f"no answer: {trouble}", "off"
     status = found["status"]
@@ -66,7 +66,7 @@ class _LivePage:
                 button("Mark", self._set_mark)
         else:
             Words("p", "This studio only looks: start it with --role operate for the buttons.", "small")
-        self._said = Words("p", "", "lead").props('role="status" aria-live="polite"')
+        self._message = Words("p", "", "lead").props('role="status" aria-live="polite"')
         self._make_bars()
         with ui.element("div").classes("plots"):
             self._minutes = self._spark("Applied correction, last 10 minutes", link.minutes, temperatures=False)
@@ -92,7 +92,7 @@ class _LivePage:
             return
         self._lead.set_text(f"{found['machine']}, model {found['model']}, {from_home(found['config'])}")
         if tuple(found["status"]["applied_um"]) != self._axes:
-            self._session.on_change()  # it answers for the first time, or another machine's daemon does
+            self._session.on_change()  # first answer, or another machine's daemon
             return
         self._move_bars(found)
         self._count += 1
@@ -167,7 +167,7 @@ class _LivePage:
         if now is None or now.time_s == self._newest:
             return
         if now.time_s < self._newest:
-            self._session.on_change()  # the daemon was restarted: its time begins again
+            self._session.on_change()  # the daemon was restarted: its time begins at zero
             return
         self._newest = now.time_s
         for chart, temperatures in ((self._minutes, False), (self._warm, True)):
@@ -231,9 +231,9 @@ class _LivePage:
     async def _give(self, name: str, text: str) -> None:
         try:
             outcome = await self._link.order(name, text)
-            self._said.set_text(outcome.text)
+            self._message.set_text(outcome.text)
         except RtecError as e:
-            self._said.set_text(str(e))
+            self._message.set_text(str(e))
 
 
 def _of(moment: "Moment", name: str, temperatures: bool) -> float | None:

@@ -1,4 +1,4 @@
-"""Measurements: drop or choose files, see what they hold, choose the machine and the model to compare with."""
+"""Measurements: drop or choose files, show their content, choose the machine and the model to compare with."""
 
 import asyncio
 from collections.abc import Callable
@@ -86,7 +86,7 @@ def _drop(session: TabSession) -> None:
         session.fail(f"a file has more than {LARGEST_UPLOAD >> 20} MB; copy it into the folder instead", "drop")
         session.on_change()
 
-    # All files in one request: the page is built anew after it, and what were still under way would be lost.
+    # All files in one request: the page is rebuilt after it, and a second request under way would be lost.
     ui.upload(
         multiple=True,
         auto_upload=True,
@@ -105,7 +105,7 @@ def _import(session: TabSession, name: str) -> None:
 
 
 async def _look(session: TabSession, rows: "list[_Row]") -> None:
-    """Read what has not been read yet."""
+    """Read the measurements that have not been read yet."""
     known = {s.file for s in session.summaries.values()}
     todo = [n for n in session.listing.measurements if n not in known]
     if not session.machine or not todo:
@@ -114,7 +114,7 @@ async def _look(session: TabSession, rows: "list[_Row]") -> None:
 
     machine = session.machine
     try:
-        # Beside other work: whoever does not look at the list does not wait for it.
+        # In parallel with other jobs, so that they do not wait for the list.
         found = await Job("Reading", lambda: None).run(tasks.summaries, session.folder.root, todo, session.machine_path)
     except RtecError as e:
         found = tuple(Summary(name, trouble=str(e)) for name in todo)
@@ -154,7 +154,7 @@ def _list(session: TabSession, used: Callable[[], None]) -> "list[_Row]":
 
 
 class _Row:
-    """A measurement in the list. Its check box stays when the file has been read, so that no click on it is lost."""
+    """A measurement in the list. Its check box stays the same after the file is read, so that no click is lost."""
 
     def __init__(self, session: TabSession, name: str, used: Callable[[], None]) -> None:
         self._session, self._name, self._used = session, name, used
@@ -167,7 +167,7 @@ class _Row:
             self.show()
 
     def show(self) -> None:
-        """Show what is known of it now."""
+        """Show the present knowledge about the file."""
         if self._row.is_deleted:
             return
         for cell in self._cells:
@@ -186,7 +186,7 @@ class _Row:
 
 
 def _cells(s: Summary, box: ui.checkbox) -> list[Element]:
-    """What is known of a measurement; one that cannot be read cannot be used."""
+    """Cells of a measurement's row; a measurement that cannot be read cannot be used."""
     if s.trouble:
         box.disable()
         return [Words("td", s.trouble, "words trouble").props("colspan=5")]
@@ -242,7 +242,7 @@ def _machine(session: TabSession) -> None:
 
 
 class _ModelCard:
-    """The model, and the form of a first one; its fields stay while measurements are chosen."""
+    """The model, and the form for a first one, whose fields stay while measurements are chosen."""
 
     def __init__(self, session: TabSession) -> None:
         self._session = session
@@ -269,10 +269,10 @@ class _ModelCard:
             field.on_value_change(self._command.redo)
 
     def refresh(self) -> None:
-        """Other measurements were chosen."""
+        """Update the card after other measurements were chosen."""
         self._command.redo()
         if self._lacked != self._session.lacks:
-            self._next.redo()  # else a click that is under way would find its button gone
+            self._next.redo()  # only then: a click under way still needs its button
 
     def _choose(self, event: events.ValueChangeEventArguments[str | None]) -> None:
         self._session.model = event.value or ""
@@ -305,8 +305,8 @@ class _ModelCard:
             return
         effects = (self._effects.value or "").strip()
         fields = {"--effects": "fit_effects"}
-        said = await s.work("Fitting", tasks.fit, s.machine_path, s.files, out, effects, beside="fit", fields=fields)
-        if said is not None:
+        verdict = await s.work("Fitting", tasks.fit, s.machine_path, s.files, out, effects, beside="fit", fields=fields)
+        if verdict is not None:
             s.look()
             s.view.pop("fit_out", None)
             s.model = out.name
@@ -315,10 +315,10 @@ class _ModelCard:
 
 
 def _checked(session: TabSession, name: str) -> Path:
-    """The path of a new model file.
+    """Path of a new model file.
 
     Raises:
-        RtecError: why there can be none, or nothing to fit it to.
+        RtecError: the name cannot be used, or there is no measurement to fit.
     """
     out = session.folder.path(name)
     if out.suffix != ".toml":

@@ -1,4 +1,4 @@
-"""Report: the step that is shown, as one self-contained HTML file and as a PDF."""
+"""Report: the current step as one self-contained HTML file and as a PDF."""
 
 from functools import partial
 
