@@ -31,6 +31,10 @@ LIKELIER = math.log(50.0)
 """Least gain in log likelihood. The best of some fifty further temperatures gained 3.3 at most in 24 records that
 depend on one temperature only."""
 
+VARIED_DEGC, TRIMMED = 1.0, (0.01, 0.99)
+"""Change of a temperature, between these quantiles, below which it is no further one: on another day it may differ by
+many times as much, and its number is known from this change only."""
+
 
 def further_temperature(judged: Judgement) -> FittedEffect | None:
     """The temperature, by another sensor or with another delay, that predicts held-out runs best beside those there.
@@ -70,6 +74,8 @@ def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping
         if not along or effect.component not in seen:
             continue
         for sensor in surroundings(readings, seen[effect.component]).sensors:
+            if float(np.ptp(np.nanquantile(readings.channel(sensor), TRIMMED))) < VARIED_DEGC:
+                continue
             for late in _delays(effect):
                 other = effect.model_copy(update={"sensor": sensor, **late})
                 if other in told:
