@@ -16,7 +16,7 @@ from rtec.estimation.noise import Whitener, found_on_stretches
 from rtec.estimation.outliers import Clean
 from rtec.estimation.plain import Plain, as_good, plain_fit
 from rtec.estimation.readings import Readings
-from rtec.model import Model
+from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
 
@@ -153,9 +153,19 @@ class Judgement:
 
     @cached_property
     def untouched(self) -> float:
-        """The same of the model with its own numbers; only the unknowns of the set-up are fitted to the other runs."""
-        alone = replace(self.readings, values=self.readings.values - self.base.predicted)
-        weighted, plain = (held_out(replace(w, readings=alone), alone.setup, self.scale) for w in self._weights)
+        """Root mean square error on held-out runs of the model with its own numbers; only the set-up is fitted."""
+        return self.with_own(len(self.model.effects))
+
+    def with_own(self, count: int) -> float:
+        """Root mean square error on held-out runs if the first effects keep their numbers, and all others are refitted.
+
+        Args:
+            count: of effects that keep their numbers: none of them has been fitted to these readings.
+        """
+        kept, others = (replace(self.model, effects=part) for part in _cut(self.model.effects, count))
+        alone = replace(self.readings, values=self.readings.values - base_of(kept, self.readings).predicted)
+        columns = base_of(others, self.readings).columns
+        weighted, plain = (held_out(replace(w, readings=alone), columns, self.scale) for w in self._weights)
         return (weighted if as_good(weighted, plain) else plain).rms
 
     @cached_property
@@ -192,3 +202,8 @@ class Judgement:
             "readings": len(self.readings),
             "wrong_readings": [vars(w) for w in self.given.wrong],
         }
+
+
+def _cut(effects: tuple[FittedEffect, ...], count: int) -> tuple[tuple[FittedEffect, ...], tuple[FittedEffect, ...]]:
+    """The first so many, and the others."""
+    return effects[:count], effects[count:]

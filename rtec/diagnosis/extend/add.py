@@ -117,6 +117,8 @@ Stage = Callable[[str, int, int], None]
 
 WORTH = 1e-3
 """A relative fall of the held-out error of less is none: numbers that are free to move always find a little."""
+CLEARLY = 0.02
+"""A model keeps its own numbers where that lowers the error on held-out runs by more than this share."""
 ROUNDING = 1e-9
 """What is left of a column that the instrument's own unknowns take up entirely, as a share of it, is no more."""
 
@@ -139,6 +141,7 @@ class Added(Result):
         passed_over: what these readings cannot tell from what was added.
         undetermined: effects that cancel each other since it was added: only their sum is known.
         doubts: about the record, in words, where it is in such doubt that no number of the model should follow it.
+        own_kept: effects of the model, from the first on, that have kept their numbers.
     """
 
     page_maker: ClassVar[str] = "rtec.report.additions:added_page"
@@ -156,6 +159,7 @@ class Added(Result):
     passed_over: tuple[PassedOver, ...] = ()
     undetermined: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    own_kept: int = 0
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The error before and after."""
@@ -208,8 +212,12 @@ def add(
     margin: Margin | None = None,
     stage: Stage | None = None,
     given: Clean | None = None,
+    own: int | None = None,
 ) -> Added:
     """Add effects and refit everything on the channels as the loop sees them.
+
+    Where the model was not fitted to these readings before, and held-out runs are predicted better if it keeps its own
+    numbers, only the new effects are fitted: numbers that few runs or a large drift determine badly would hide them.
 
     Args:
         model: the current model.
@@ -218,6 +226,8 @@ def add(
         margin: how far valid ranges reach beyond the readings.
         stage: told how far it is.
         given: the measurements, read already; the caller has looked whether the record is in doubt.
+        own: effects of the model, from the first on, whose numbers were not fitted to these readings; by default all,
+            or none where the model names one of the measurements.
 
     Raises:
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
@@ -225,7 +235,9 @@ def add(
     """
     tell = stage or (lambda *_: None)
     with one_blas_thread():
-        return _add(model, new, measurements, margin or Margin(), tell, given)
+        again = any(m.fingerprint in model.measurements.values() for m in measurements)
+        kept = own if own is not None else 0 if again else len(model.effects)
+        return _add(model, new, measurements, margin or Margin(), tell, given, kept)
 
 
 def _add(
@@ -235,6 +247,7 @@ def _add(
     margin: Margin,
     tell: Stage,
     given: Clean | None,
+    own: int,
 ) -> Added:
     _check_new(model, new)
     check_enough(measurements)
@@ -251,7 +264,12 @@ def _add(
     tell("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, loose) if new else (no_worse(model, before), ())
     tell("held-out runs", 2, 3)
-    made = _judged(model, new, measurements, there, after, margin)
+    made = _judged(model, new, measurements, there, after, margin, own, 0)
+    if new and own:
+        kept = _with_own(model, after, own, readings, loose)
+        other = _judged(model, new, measurements, there, kept, margin, own, own)
+        if other.after.held_out < (1.0 - CLEARLY) * made.after.held_out:
+            after, made = kept, other
     tell("held-out runs", 3, 3)
     named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in known)
@@ -339,6 +357,25 @@ def _with_new(
     return joint_fit((*model.effects, *found), readings, loose=loose, least=least), tuple(words)
 
 
+def _with_own(model: Model, refitted: Joint, own: int, readings: Readings, loose: float | None) -> Joint:
+    """Fit what is new, and effects that were added before, while the first effects keep their numbers.
+
+    Args:
+        model: the model before.
+        refitted: with what is new, all numbers refitted.
+        own: effects that keep their numbers.
+        readings: the readings.
+        loose: as of `joint_fit`.
+    """
+    known = len(model.effects)
+    alone = replace(readings, values=readings.values - predicted(model.effects[:own], readings))
+    fresh = [replace(f, errors={}) for f in refitted.effects[known:]]
+    least = least_noise(readings, floor.cleaned(readings, refitted.left))
+    fit = joint_fit((*model.effects[own:], *fresh), alone, loose=loose, least=least)
+    undetermined = tuple(own + i for i in fit.undetermined)
+    return replace(fit, effects=(*model.effects[:own], *fit.effects), undetermined=undetermined)
+
+
 def _judged(
     model: Model,
     new: Sequence[FittedEffect],
@@ -346,17 +383,27 @@ def _judged(
     given: Clean,
     after: Joint,
     margin: Margin,
+    fresh: int,
+    own: int,
 ) -> Added:
-    """What the model left before and leaves after, and the model with its history."""
+    """What the model left before and leaves after, and the model with its history.
+
+    Args:
+        model: the model before.
+        new: what is added.
+        measurements, given: the readings.
+        after: the fit.
+        margin: of the valid ranges.
+        fresh: effects whose numbers were not fitted to these readings before; with their own numbers all are held out.
+        own: effects that keep their numbers in the fit.
+    """
     effects = after.effects
     grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
     now = Judgement(grown, given)
     was = Judgement(model, given, tuple(now.scale))
-    # The model was not fitted to these readings: with its own numbers, all of them are held out.
-    fresh = not any(m.fingerprint in model.measurements.values() for m in measurements)
-    held = min(was.held_out, was.untouched) if fresh else was.held_out
+    held = min(was.held_out, was.with_own(fresh)) if fresh else was.held_out
     before = Errors(was.residual, was.residual, held if new else was.untouched)
-    after_it = Errors(None, now.residual, now.held_out)
+    after_it = Errors(None, now.residual, now.with_own(own) if own else now.held_out)
     noise, added = now.noise_floor, tuple(labels([*model.effects, *new])[len(model.effects) :])
     entry = entry_of(
         added, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model
@@ -367,10 +414,10 @@ def _judged(
         measurements={**model.measurements, **{m.name: m.fingerprint for m in measurements}},
         history=(*model.history, entry),
     )
-    better = now.held_out < (1.0 - WORTH) * before.held_out
+    better = after_it.held_out < (1.0 - WORTH) * before.held_out
     smooth = _with_smooth(after, now.scale)
     notes = (*after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
-    return Added(made, added, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from)
+    return Added(made, added, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from, own_kept=own)
 
 
 def refused(added: Added) -> str:

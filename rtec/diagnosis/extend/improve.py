@@ -140,6 +140,7 @@ def improve(
         return growth.grown(model, ask, ask_made)
     if step:
         step(refit)
+    growth.own = 0
     return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
 
 
@@ -164,6 +165,9 @@ class _Growth:
     ) -> None:
         self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
         self.best = residual_size(start.effects, given.readings)
+        again = any(m.fingerprint in start.measurements.values() for m in measurements)
+        # Effects whose numbers were not fitted to these readings.
+        self.own = 0 if again else len(start.effects)
 
     def refit(self, model: Model, alone: bool) -> Added | None:
         """The model's own numbers refitted; None where that lowers the error on held-out runs by little.
@@ -233,6 +237,7 @@ class _Growth:
     def _taken(self, added: Added, steps: list[Added]) -> Model:
         """A step is made."""
         steps.append(added)
+        self.own = added.own_kept
         if self.step:
             self.step(added)
         self.best = min(self.best, residual_size(added.model.effects, self.given.readings))
@@ -244,7 +249,7 @@ class _Growth:
         if new is None:
             return None
         try:
-            added = add(model, [new], self.measurements, stage=self.stage, given=self.given)
+            added = add(model, [new], self.measurements, stage=self.stage, given=self.given, own=self.own)
         except ModelError:
             return None
         last = added.model.effects[-1]
@@ -259,7 +264,7 @@ class _Growth:
             if any(is_there(model, n) for n in new):
                 continue
             try:
-                added = add(model, new, self.measurements, stage=self.stage, given=self.given)
+                added = add(model, new, self.measurements, stage=self.stage, given=self.given, own=self.own)
             except ModelError:
                 continue  # on the channels as the loop has them it is confounded with what the model has
             if self._gains(added):
