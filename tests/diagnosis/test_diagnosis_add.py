@@ -7,12 +7,16 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.diagnosis.extend.add import add, new_effect
+from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.errors import ModelError
 from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from tests.discovery.generator.cases import Case
+from tests.discovery.generator.dataset import build
+from tests.discovery.translate import base_model, measurement_of
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 
 Floats = NDArray[np.float64]
@@ -282,3 +286,19 @@ def test_a_servo_that_lags_only_some_way_after_a_reversal_is_one_effect() -> Non
     )
     assert grown.model.effects[-1].values["tau"] == pytest.approx(-1.0 / 8.0, rel=0.02)
     assert grown.after.inside < 1.15 * NOISE_UM < 0.6 * plain.after.inside
+
+
+def test_an_effect_is_added_though_a_jump_misleads_the_numbers_of_the_model() -> None:
+    """A wave, and a jump in the middle of the record. Oracle: both were hidden; the model knew the rest.
+
+    Refitted along with the wave, the model's own numbers follow the jump, and held-out runs are predicted worse.
+    """
+    case = Case("pairs", 1038, "laser", "random_walk", ("coupling_misalignment", "missed_counts"))
+    hidden = build(case)
+    m = measurement_of(hidden)
+    known = base_model(hidden, m)
+    done = improve(known, [m], draws=50)
+    assert [s.labels for s in done.steps] == [("coupling_misalignment(EYY, Y)",), ("missed_counts(EYY, Y)",)]
+    assert done.steps[0].own_kept == len(known.effects)
+    assert done.model.effects[: len(known.effects)] == known.effects
+    assert done.steps[1].before.held_out == pytest.approx(done.steps[0].after.held_out, rel=1e-6)
