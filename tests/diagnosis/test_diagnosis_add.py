@@ -300,5 +300,5 @@ def test_an_effect_is_added_though_a_jump_misleads_the_numbers_of_the_model() ->
     done = improve(known, [m], draws=50)
     assert [s.labels for s in done.steps] == [("coupling_misalignment(EYY, Y)",), ("missed_counts(EYY, Y)",)]
     assert done.steps[0].own_kept == len(known.effects)
-    assert done.model.effects[: len(known.effects)] == known.effects
+    assert done.steps[0].model.effects[: len(known.effects)] == known.effects
     assert done.steps[1].before.held_out == pytest.approx(done.steps[0].after.held_out, rel=1e-6)
