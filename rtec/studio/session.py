@@ -59,12 +59,35 @@ class ForeignFile:
         answers: to what it does not say, by key of the question.
         edited: columns of the map as they were changed; None: as they are proposed.
         looked: what it would become; None before it was looked at.
+        machine: file of the machine whose axes and sensors were looked for; empty: none.
     """
 
     name: str
     answers: Mapping[str, str] = field(default_factory=dict)
     edited: Mapping[str, Mapping[str, Any]] | None = None
     looked: ImportView | None = None
+    machine: str = ""
+
+
+@dataclass(frozen=True)
+class SetAside:
+    """What was added and not saved when other files were chosen.
+
+    Attributes:
+        machine, model, chosen, steps, at, saved: as in `TabSession`, at that moment.
+    """
+
+    machine: str
+    model: str
+    chosen: tuple[str, ...]
+    steps: tuple[ModelStep, ...]
+    at: int
+    saved: Mapping[int, str]
+
+    @property
+    def words(self) -> str:
+        """What was added, in words."""
+        return ", ".join(step.label for step in self.steps[1 : self.at + 1])
 
 
 @dataclass
@@ -79,6 +102,7 @@ class TabSession:
         summaries: of all measurements.
         steps: the model as it was read, and after each addition; `at` is where undo and redo have gone.
         saved: name of the file that holds the step, by number of the step.
+        aside: what was added to models that are no longer chosen, the latest last; it is not saved.
         written: what this tab wrote, by name of the file.
         job: what runs now; None: nothing.
         trouble: why the last work failed, in a sentence; `beside` is the place or field of a page that it belongs to.
@@ -102,6 +126,7 @@ class TabSession:
     steps: tuple[ModelStep, ...] = ()
     at: int = 0
     saved: dict[int, str] = field(default_factory=dict)
+    aside: tuple[SetAside, ...] = ()
     written: dict[str, bytes] = field(default_factory=dict)
     job: Job | None = None
     trouble: str = ""
@@ -165,6 +190,31 @@ class TabSession:
             self.forget()
         self.chosen = tuple(n for n in self.chosen if n in self.listing.measurements)
 
+    def choose(
+        self, *, machine: str | None = None, model: str | None = None, chosen: tuple[str, ...] | None = None
+    ) -> None:
+        """Use another machine, another model or other measurements; what was added and not saved is put aside.
+
+        Args:
+            machine, model, chosen: names of the files; None: as before.
+        """
+        if self.at > 0 and self.at not in self.saved:
+            now = SetAside(self.machine, self.model, self.chosen, self.steps, self.at, self.saved)
+            self.aside = (*self.aside, now)
+        self.machine = self.machine if machine is None else machine
+        self.model = self.model if model is None else model
+        self.chosen = self.chosen if chosen is None else chosen
+        self.forget()
+
+    def bring_back(self) -> None:
+        """Go back to what was put aside last, with its machine, model and measurements."""
+        *others, last = self.aside
+        if last.machine != self.machine:
+            self.summaries = {}
+        self.choose(machine=last.machine, model=last.model, chosen=last.chosen)
+        self.aside = (*others, *self.aside[len(others) + 1 :])
+        self.steps, self.at, self.saved = last.steps, last.at, dict(last.saved)
+
     def forget(self) -> None:
         """Forget every step: model or measurements are others."""
         self.steps, self.at, self.saved, self.improved, self.rank = (), 0, {}, "", 1
@@ -217,7 +267,8 @@ class TabSession:
         try:
             return await self.job.run(task, *args)
         except RtecError as e:
-            self.fail(*blamed(str(e), fields, beside))
+            # As on a command line that is in the folder.
+            self.fail(*blamed(str(e).replace(f"{self.folder.root}/", ""), fields, beside))
         except Cancelled:
             self.fail(f"{title}: cancelled; nothing was changed.", beside)
         finally:
