@@ -26,6 +26,8 @@ MOST, EVENLY = 7_000, 3_000
 ACROSS, UP = 96, 40
 """Number of cells of a plot, each a little larger than a marker; every cell with readings has at least one drawn."""
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
+SCALE: Final = ((0.0, "#3d7fd6"), (0.5, "#a87aa8"), (1.0, "#d9760b"))
+"""From the least to the most; seen on light and on dark paper."""
 FEW, LARGE, SMALL = 2_000, 9, 6
 """Up to this many readings have large markers; sizes of large and small markers."""
 SINGLY = 1_000
@@ -34,6 +36,8 @@ CELLS, LEAST = 24, 3
 LINE = 300
 """Number of parts of a temperature's line; the lowest and the highest value of each are drawn."""
 WAYS = 2
+FEW_BARS = 3
+"""Of fewer, each is thin: one alone would fill the plot."""
 DIGITS = 5
 
 
@@ -174,7 +178,7 @@ def residual_over(
     if colour and colour in s.channels:
         shade = {
             "color": numbers(s.channels[colour][rows]),
-            "colorscale": "Viridis",
+            "colorscale": SCALE,
             "showscale": True,
             "colorbar": {"title": {"text": text(colour), "side": "right"}, "thickness": 14},
         }
@@ -472,8 +476,8 @@ def _broken(name: str) -> str:
     return text(name).replace("(", "<br>(", 1)
 
 
-def bars(rows: Mapping[str, float], unit: str, title: str) -> Figure:
-    """Bars, the largest at the top, each with its number."""
+def bars(rows: Mapping[str, float], units: Mapping[str, str], title: str) -> Figure:
+    """Bars, largest at the top, each with its number and unit."""
     names = list(rows)[::-1]
     values = [float(rows[n]) for n in names]
     trace = {
@@ -482,11 +486,12 @@ def bars(rows: Mapping[str, float], unit: str, title: str) -> Figure:
         "x": values,
         "y": [text(n) for n in names],
         "marker": {"color": "@c3"},
-        "text": [f"{v:.2f}" for v in values],
+        "text": [f"{v:.2f} {units[n]}" for n, v in zip(names, values, strict=True)],
         "textposition": "outside",
         "cliponaxis": False,
+        "width": 0.3 if len(values) < FEW_BARS else 0.7,
     }
     return {
         "data": [trace],
-        "layout": layout(xaxis=axis(f"{title}, {unit}"), yaxis=axis("", automargin=True), dragmode=False),
+        "layout": layout(xaxis=axis(title), yaxis=axis("", automargin=True), dragmode=False),
     }

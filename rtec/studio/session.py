@@ -59,12 +59,35 @@ class ForeignFile:
         answers: answers by key of the question.
         edited: columns of the map that the user changed; None: as proposed.
         looked: preview; None before the first one.
+        machine: file of the machine for whose axes and sensors the preview was made; empty: none.
     """
 
     name: str
     answers: Mapping[str, str] = field(default_factory=dict)
     edited: Mapping[str, Mapping[str, Any]] | None = None
     looked: ImportView | None = None
+    machine: str = ""
+
+
+@dataclass(frozen=True)
+class SetAside:
+    """What was added and not saved when other files were chosen.
+
+    Attributes:
+        machine, model, chosen, steps, at, saved: as in `TabSession`, at that moment.
+    """
+
+    machine: str
+    model: str
+    chosen: tuple[str, ...]
+    steps: tuple[ModelStep, ...]
+    at: int
+    saved: Mapping[int, str]
+
+    @property
+    def words(self) -> str:
+        """What was added, in words."""
+        return ", ".join(step.label for step in self.steps[1 : self.at + 1])
 
 
 @dataclass
@@ -79,6 +102,7 @@ class TabSession:
         summaries: summaries of all measurements.
         steps: the model of the file, and after each addition; `at` is the current one (undo and redo).
         saved: name of the file of a saved step, by number of the step.
+        aside: additions to models that are no longer chosen, the latest last; they are not saved.
         written: content of the files that this tab wrote, by name.
         job: the running job, or None.
         trouble: why the last job failed, in a sentence; `beside` is the place or field of a page to which it belongs.
@@ -102,6 +126,7 @@ class TabSession:
     steps: tuple[ModelStep, ...] = ()
     at: int = 0
     saved: dict[int, str] = field(default_factory=dict)
+    aside: tuple[SetAside, ...] = ()
     written: dict[str, bytes] = field(default_factory=dict)
     job: Job | None = None
     trouble: str = ""
@@ -165,6 +190,31 @@ class TabSession:
             self.forget()
         self.chosen = tuple(n for n in self.chosen if n in self.listing.measurements)
 
+    def choose(
+        self, *, machine: str | None = None, model: str | None = None, chosen: tuple[str, ...] | None = None
+    ) -> None:
+        """Use another machine, another model or other measurements; what was added and not saved is put aside.
+
+        Args:
+            machine, model, chosen: names of the files; None: as before.
+        """
+        if self.at > 0 and self.at not in self.saved:
+            now = SetAside(self.machine, self.model, self.chosen, self.steps, self.at, self.saved)
+            self.aside = (*self.aside, now)
+        self.machine = self.machine if machine is None else machine
+        self.model = self.model if model is None else model
+        self.chosen = self.chosen if chosen is None else chosen
+        self.forget()
+
+    def bring_back(self) -> None:
+        """Go back to what was put aside last, with its machine, model and measurements."""
+        *others, last = self.aside
+        if last.machine != self.machine:
+            self.summaries = {}
+        self.choose(machine=last.machine, model=last.model, chosen=last.chosen)
+        self.aside = (*others, *self.aside[len(others) + 1 :])
+        self.steps, self.at, self.saved = last.steps, last.at, dict(last.saved)
+
     def forget(self) -> None:
         """Remove all steps, because the model or the measurements changed."""
         self.steps, self.at, self.saved, self.improved, self.rank = (), 0, {}, "", 1
@@ -217,7 +267,8 @@ class TabSession:
         try:
             return await self.job.run(task, *args)
         except RtecError as e:
-            self.fail(*blamed(str(e), fields, beside))
+            # As on a command line that is in the folder.
+            self.fail(*blamed(str(e).replace(f"{self.folder.root}/", ""), fields, beside))
         except Cancelled:
             self.fail(f"{title}: cancelled; nothing was changed.", beside)
         finally:

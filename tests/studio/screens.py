@@ -14,11 +14,11 @@ from tests.studio.studio_rig import chromium, foreign, live_config, running_daem
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-WIDTH, HIGH, COLOURS = 1280, 960, 96
+WIDTH, HIGH, COLOURS = 1280, 960, 255
 
 
 def shoot(page: "Page", folder: Path, name: str) -> None:
-    """Both themes, with few colours, so that the files stay small."""
+    """Both themes, with few colours, so that the files stay small, and so many that no two curves look alike."""
     for theme in ("light", "dark"):
         page.emulate_media(color_scheme=theme, reduced_motion="reduce")
         page.wait_for_timeout(1500)

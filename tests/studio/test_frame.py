@@ -123,6 +123,45 @@ def test_a_file_that_is_opened_while_another_is_read_is_not_taken_for_it(
     assert session.foreign == replace(second, looked=seen)
 
 
+def test_a_file_is_looked_at_again_once_its_machine_is_chosen(
+    session: TabSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a machine no axis was looked for. Oracle: what the page asks to be read."""
+    read: list[Any] = []
+    monkeypatch.setattr(importing, "waiting", lambda tab, *_: read.append(tab.foreign))
+    monkeypatch.setattr(importing, "_page", lambda *_: read.append("shown"))
+    session.foreign = ForeignFile("a.csv", looked=tasks.ImportView(None))  # type: ignore[arg-type]
+    importing.build(session)
+    session.machine = "mill.toml"
+    importing.build(session)
+    session.foreign = ForeignFile("a.csv", looked=tasks.ImportView(None), machine="mill.toml")  # type: ignore[arg-type]
+    importing.build(session)
+    assert read == ["shown", ForeignFile("a.csv"), "shown"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "given"),
+    [
+        ("0; 0; 150", "[0, 0, 150]"),
+        ("0 0 150", "[0, 0, 150]"),
+        ("0, 0, 150", "[0, 0, 150]"),
+        ("0,5; 0; 150,25", "[0.5, 0, 150.25]"),
+        ("[0; 0; 150]", "[0, 0, 150]"),
+        ("[0, 0, 150]", "[0, 0, 150]"),
+        ("12,5", "12.5"),
+        ("12.5", "12.5"),
+        ("1234567,25", "1234567.25"),
+        ("true", "true"),
+        ("0,0,150", "0,0,150"),
+        ("100 200 300", "100 200 300"),
+        ("head", "head"),
+    ],
+)
+def test_answers_may_be_typed_as_people_write_numbers(typed: str, given: str) -> None:
+    """What has more than one meaning stays as it is, and is refused. Oracle: TOML, which the answer is in."""
+    assert importing.as_toml(typed) == given
+
+
 MB = 1 << 20
 
 

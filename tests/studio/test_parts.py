@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,25 @@ def test_a_noise_that_is_not_known_yet_is_not_drawn() -> None:
         unknown = made(replace(many, floor=float("nan")))
         assert unknown["layout"]["shapes"] == []
         json.dumps(unknown, allow_nan=False)
+
+
+@pytest.mark.parametrize("theme", ["body {", "body.body--dark {"])
+def test_every_colour_of_a_scale_is_seen_on_light_and_on_dark_paper(theme: str) -> None:
+    """Oracle: WCAG 1.4.11, a contrast of 3, between the colours and on the paper of the style sheet."""
+    style = Path(figures.__file__).with_name("studio.css").read_text(encoding="utf-8")
+    paper = _light(style.partition(theme)[2].partition("--paper: ")[2][:7])
+    ends = [np.array([int(c[k : k + 2], 16) for k in (1, 3, 5)]) for _, c in figures.SCALE]
+    for a, b in pairwise(ends):
+        for share in np.linspace(0.0, 1.0, 11):
+            shade = _light("#" + "".join(f"{round(v):02x}" for v in a + share * (b - a)))
+            assert (max(shade, paper) + 0.05) / (min(shade, paper) + 0.05) >= 3.0
+
+
+def _light(colour: str) -> float:
+    """The relative luminance of a colour as in CSS, by WCAG 2.1."""
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [v / 12.92 if v <= 0.03928 else ((v + 0.055) / 1.055) ** 2.4 for v in parts]
+    return float(np.dot((0.2126, 0.7152, 0.0722), linear))
 
 
 def test_a_text_from_a_file_is_no_markup() -> None:

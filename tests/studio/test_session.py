@@ -1,6 +1,7 @@
 """What a tab keeps when files go away under it. Oracle: the steps that were made before."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -40,6 +41,33 @@ def test_a_model_that_is_deleted_before_anything_was_added_is_no_longer_chosen(s
     path.rename(path.with_name("other.toml"))
     session.look()
     assert (session.model, session.steps) == ("other.toml", ())
+
+
+def test_an_addition_is_put_aside_when_other_files_are_chosen_and_can_be_brought_back(session: TabSession) -> None:
+    """Oracle: machine, model, measurements and steps of before. What is brought back puts aside what is there then."""
+    session.chosen = ("a.csv", "b.csv")
+    session.push(ModelStep(session.steps[0].model, "backlash", ("add",)))
+    before: Any = (session.machine, session.model, session.chosen, session.steps, session.at)
+    session.choose(chosen=("a.csv",))
+    assert [a.words for a in session.aside] == ["backlash"]
+    assert session.step is None
+    session.choose(chosen=())  # nothing was added meanwhile
+    assert len(session.aside) == 1
+    session.steps = before[3][:1]
+    session.push(ModelStep(before[3][0].model, "scale", ("add",)))
+    session.bring_back()
+    assert (session.machine, session.model, session.chosen, session.steps, session.at) == before
+    assert [a.words for a in session.aside] == ["scale"]
+
+
+def test_an_addition_that_is_saved_or_undone_is_not_put_aside(session: TabSession) -> None:
+    """It is in its file, or was not wanted."""
+    session.push(ModelStep(session.steps[0].model, "backlash", ("add",)))
+    session.saved = {1: "better.toml"}
+    session.choose(chosen=("a.csv",))
+    session.steps, session.at = (ModelStep(Model(rtec.load_machine(MACHINE), ()), "as it is"),), 0
+    session.choose(model="")
+    assert session.aside == ()
 
 
 def test_of_a_long_table_some_readings_are_previewed(tmp_path: Path) -> None:

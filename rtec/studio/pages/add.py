@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from rtec.diagnosis.words import UNITS
+from rtec.diagnosis.words import UNITS, labels
 from rtec.errors import RtecError
 from rtec.model.history import steps_of
 from rtec.report.history import stairs
@@ -103,9 +103,10 @@ def _ask_step(session: TabSession, question: StepQuestion) -> None:
     if 1 in question.diagnosis.curves:
         Chart(figures.evidence_figure(question.diagnosis.curves[1][0]), "Residual and the proposed effect")
     with ui.element("div").classes("row"):
-        for f in d.findings[:4]:
+        offered = d.findings[:4]
+        for f, label in zip(offered, labels(offered), strict=True):
             fall = percent(max(f.heldout_drop, 0.0))
-            shown = f"Add {f.label} ({probability(f.confidence)}, held-out error falls by {fall})"
+            shown = f"Add {label} (probability {probability(f.confidence)}, held-out error falls by {fall})"
             button(shown, partial(session.answer, f.rank), main=f.rank == 1)
         button("Stop here", lambda: session.answer(0))
 

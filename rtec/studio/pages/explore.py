@@ -9,8 +9,10 @@ from typing import Any, Final
 import numpy as np
 from nicegui import events, ui
 
+from rtec.diagnosis.words import UNITS
 from rtec.errors import RtecError
 from rtec.machine import Machine
+from rtec.machine.chain import component_unit
 from rtec.model import Model
 from rtec.model.at import state_at
 from rtec.studio import actions, figures
@@ -79,7 +81,7 @@ class _Explorer:
                 with ui.element("div").classes("card"):
                     Words("h2", "Error at the tool tip over the whole travel")
                     self._map = Chart(volume, "Nominal places and where the tool tip is, magnified").classes("tall")
-            with ui.element("div").style("display: grid; gap: 1rem; min-width: 0"):
+            with ui.element("div").classes("controls"):
                 self._controls()
                 with ui.element("div").classes("card"):
                     Words("h2", "Component errors here")
@@ -210,8 +212,10 @@ def _part(model: Model, state: Mapping[str, float]) -> str:
 
 def _bars(fed: Mapping[str, float]) -> dict[str, Any]:
     ordered = dict(sorted(fed.items(), key=lambda kv: -abs(kv[1])))
-    figure = figures.bars(ordered, "µm or µrad", "component error")
+    units = {c: UNITS[component_unit(c)] for c in ordered}
+    figure = figures.bars(ordered, units, f"component error, {' or '.join(sorted(set(units.values())))}")
     figure["layout"]["xaxis"]["zeroline"] = True
+    figure["layout"]["margin"] = {"l": 70, "r": 70, "t": 44, "b": 56}  # numbers stand at the ends of the bars
     return figure
 
 
@@ -235,7 +239,7 @@ def _layout3(machine: Machine) -> dict[str, Any]:
     scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (1.2 * ratio).tolist(), strict=True))}
     scene |= {
         "uirevision": "kept",
-        "camera": {"eye": {"x": 1.15, "y": -1.75, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.12}},
+        "camera": {"eye": {"x": 0.98, "y": -1.49, "z": 0.6}, "center": {"x": 0, "y": 0, "z": -0.1}},
     }
     return figures.layout(scene=scene, dragmode="orbit", margin={"l": 0, "r": 0, "t": 40, "b": 0})
 
@@ -281,7 +285,13 @@ def _volume(model: Model, state: Mapping[str, float], magnified: float) -> dict[
     size = np.linalg.norm(error, axis=1)
     joined = np.stack([place, real, np.full_like(place, np.nan)], axis=1).reshape(-1, 3)
     bar = {"title": {"text": "error, µm"}, "thickness": 14, "tickfont": {"color": "@ink"}}
-    marker = {"size": 5, "color": figures.numbers(size), "colorscale": "Viridis", "showscale": True, "colorbar": bar}
+    marker = {
+        "size": 5,
+        "color": figures.numbers(size),
+        "colorscale": figures.SCALE,
+        "showscale": True,
+        "colorbar": bar,
+    }
     data = [
         {"type": "scatter3d", "mode": "lines", "name": "error, magnified", "x": figures.numbers(joined[:, 0]),
          "y": figures.numbers(joined[:, 1]), "z": figures.numbers(joined[:, 2]), "line": {"color": "@c2", "width": 4},

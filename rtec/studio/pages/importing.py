@@ -1,5 +1,7 @@
 """Import: preview of a file of another program, and questions that only the user can answer."""
 
+import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -12,16 +14,17 @@ from nicegui import events, ui
 from rtec.errors import RtecError
 from rtec.studio import figures, tasks
 from rtec.studio.chart import Chart
-from rtec.studio.parts import Area, Words, at_fault, button, command, draft, heading, label, trouble, waiting
+from rtec.studio.parts import Area, Words, at_fault, button, command, draft, heading, label, number, trouble, waiting
 from rtec.studio.session import ForeignFile, TabSession
 from rtec.studio.tasks import ImportView
 from rtec.text import clean
 from rtec.wording import counted
 
 if TYPE_CHECKING:
-    from rtec.metrology.importing import ForeignColumn
+    from rtec.metrology.importing import ForeignColumn, ImportQuestion
 
 NOT_USED: Final = ""
+THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}(\s\d{3})+([.,]\d*)?")
 UNITS: Final = ("", "mm", "um", "nm", "m", "in", "s", "ms", "min", "h", "degC", "degF", "K", "urad", "arcsec", "deg",
                 "rpm", "mm/min", "mm/s", "kg")  # fmt: skip
 OTHERS: Final = ("reading_um", "reading_urad", "reading_x_um", "reading_y_um", "reading_z_um", "angle_deg",
@@ -31,6 +34,8 @@ OTHERS: Final = ("reading_um", "reading_urad", "reading_x_um", "reading_y_um", "
 def build(session: TabSession) -> None:
     """The page."""
     file = session.foreign
+    if file is not None and file.looked is not None and file.machine != session.machine:
+        file = session.foreign = ForeignFile(file.name)
     heading(f"Import {clean(file.name)}" if file is not None else "Import")
     if file is None:
         Words("p", "Choose a table of another program on the page Measurements.")
@@ -48,15 +53,15 @@ async def _look(session: TabSession, other: ForeignFile | None = None, beside: s
     file = other or session.foreign
     if file is None:
         return
-    machine = session.machine_path if session.machine else None
+    machine = session.machine
     path = session.folder.existing(file.name)
-    given = path, machine, file.answers, file.edited
+    given = path, session.machine_path if machine else None, file.answers, file.edited
     found = await session.work("Reading", tasks.look_at_foreign, *given, beside=beside)
     if found is None:
         return
     if session.foreign is not None and session.foreign.name == file.name:
-        session.foreign = replace(file, looked=found)
-    session.on_change()  # now preview a file that was opened meanwhile
+        session.foreign = replace(file, looked=found, machine=machine)
+    session.on_change()  # another file that was opened meanwhile is looked at now
 
 
 def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
@@ -73,23 +78,50 @@ def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                     f"{counted(len(p.columns), 'column')}")  # fmt: skip
         for line in (*p.notes, *p.conclusions):
             Words("p", line, "small")
-    if p.questions or file.answers:
+    if file.answers or any(_is_asked(q) for q in p.questions):
         _questions(session, file, view)
     _columns(session, file, view)
     _preview(view)
     _finish(session, file, view)
 
 
+def _is_asked(question: "ImportQuestion") -> bool:
+    """Whether it is asked here; the machine is chosen on another page, as the head of the page says."""
+    return question.key != "machine"
+
+
+def as_toml(text: str) -> str:
+    """Numbers as people write them, as a list in TOML or as one number; anything else as it is.
+
+    "0; 0; 150", "0 0 150" and "0, 0, 150" are three numbers, "12,5" is one; "100 200 300" may be one or three.
+    """
+    try:
+        tomllib.loads(f"a = {text}")
+    except tomllib.TOMLDecodeError:
+        if THOUSANDS.fullmatch(text.strip()):
+            return text
+        parts = re.split(r"\s*;\s*|,?\s+", text.strip().strip("[]").strip())
+        try:
+            numbers = [f"{number(part):.12g}" for part in parts]
+        except RtecError:
+            return text
+        return numbers[0] if len(numbers) == 1 else f"[{', '.join(numbers)}]"
+    return text
+
+
 def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None:
     async def answer(key: str, field: Any) -> None:
-        if field.value and field.value != file.answers.get(key):
-            answered = replace(file, answers={**file.answers, key: str(field.value)})
+        given = str(field.value or "").strip()
+        if given and given != file.answers.get(key):
+            session.view[f"typed {file.name} {key}"] = given
+            value = as_toml(given) if key.startswith("setup.") else given
+            answered = replace(file, answers={**file.answers, key: value})
             await _look(session, answered, f"answer {key}")
 
     with ui.element("div").classes("card"):
         Words("h2", "What the file does not say")
         with ui.element("div").classes("cards"):
-            for q in view.proposal.questions:
+            for q in filter(_is_asked, view.proposal.questions):
                 with ui.element("div").style("display: grid; gap: .3rem"):
                     Words("p", q.text)
                     if q.choices:
@@ -97,17 +129,26 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
                         field: Any = ui.select(shown, value=q.default)
                         field.on_value_change(partial(answer, q.key, field))
                     else:
-                        field = ui.input(value=q.default or "", placeholder=q.hint)
+                        wrong = bool(session.trouble_at(f"answer {q.key}"))
+                        typed = session.view.get(f"typed {file.name} {q.key}", "") if wrong else q.default
+                        field = ui.input(value=typed or "", placeholder=q.hint)
                         for event in ("keydown.enter", "blur"):
                             field.on(event, partial(answer, q.key, field))
                     label(at_fault(session, f"answer {q.key}", field.props("outlined")), q.text)
-                    Words("p", "must be answered" if q.default is None else "assumed, unless you say otherwise",
-                          "small trouble" if q.default is None else "small")  # fmt: skip
+                    open_ = q.default is None
+                    needed = "must be answered" if open_ else "assumed, unless you say otherwise"
+                    Words("p", needed + _how(q), "small trouble" if open_ else "small")
         if file.answers:
             given = "; ".join(f"{k}: {v}" for k, v in file.answers.items())
             with ui.element("div").classes("row"):
                 Words("p", f"Answered: {given}", "small")
                 button("Ask again", partial(_forget_answers, session, file))
+
+
+def _how(question: "ImportQuestion") -> str:
+    """How an answer is written, where the question does not say it."""
+    three = (question.default or "").count(",") == 2 and question.key.endswith("_mm")
+    return "; X, Y and Z in mm, for example 0; 0; 150" if three else ""
 
 
 async def _forget_answers(session: TabSession, file: ForeignFile) -> None:
@@ -129,9 +170,9 @@ def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                     target = target_of.get(c.name, NOT_USED)
                     with ui.element("tr").classes("picked" if target or c.becomes else ""):
                         Words("td", c.name, "words")
-                        Words("td", "  ".join(v[:20] for v in c.first[:3]), "words")
+                        Words("td", " · ".join(v[:20] for v in c.first[:3]), "words")
                         _choices(session, file, view, c, target)
-                        with ui.element("td").classes("words small"):
+                        with ui.element("td").classes("words small why"):
                             Words("span", c.reason)
                             trouble(session, f"column {c.name}")
 
@@ -158,17 +199,21 @@ def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "
     with ui.element("td").classes("words"):
         shown = {NOT_USED: "not used", **{o: o for o in options}}
         label(
-            ui.select(shown, value=target, on_change=partial(change, "target")).props("outlined dense"),
+            ui.select(shown, value=target, on_change=partial(change, "target"))
+            .props("outlined dense")
+            .style("min-width: 10.5rem"),
             f"{name} becomes",
         )
     with ui.element("td").classes("words"):
         unit = str(entry.get("unit") or "")
         units = {
-            u: u or (f"{column.unit}, as it says" if column.unit else "not said") for u in dict.fromkeys([unit, *UNITS])
+            u: u or (f"{column.unit} (file)" if column.unit else "not known") for u in dict.fromkeys([unit, *UNITS])
         }
         if target:
             label(
-                ui.select(units, value=unit, on_change=partial(change, "unit")).props("outlined dense"),
+                ui.select(units, value=unit, on_change=partial(change, "unit"))
+                .props("outlined dense")
+                .style("min-width: 9rem"),
                 f"unit of {name}",
             )
     with ui.element("td").classes("words"):
@@ -245,8 +290,7 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                 return
             session.foreign = None
             session.look()
-            session.chosen = (*session.chosen, out.name)
-            session.forget()
+            session.choose(chosen=(*session.chosen, out.name))
             session.go("measurements")
 
         with ui.element("div").classes("row"):

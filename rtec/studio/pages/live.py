@@ -1,6 +1,6 @@
 """Live: requested and applied corrections of a running daemon, whether it follows the model, and if not, why."""
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -12,6 +12,8 @@ from rtec.studio.parts import Area, Words, button, from_home, heading, table
 from rtec.studio.session import TabSession
 
 if TYPE_CHECKING:
+    from collections import deque
+
     from rtec.studio.chart import Chart
     from rtec.studio.live import LiveLink, Moment
 
@@ -46,17 +48,39 @@ def state_of(found: dict[str, Any] | None, trouble: str) -> tuple[str, str]:
     return words.get(status["mode"], status["mode"]), "on" if status["mode"] == "on" else "held"
 
 
+@dataclass
+class _Spark:
+    """A plot of what was kept over time.
+
+    Attributes:
+        chart: on the page.
+        kept: what it draws.
+        unit_s: of its time, in seconds.
+        temperatures: whether it draws them, not the corrections.
+        newest_s: time of the last point that it has.
+    """
+
+    chart: "Chart"
+    kept: "deque[Moment]"
+    unit_s: float
+    temperatures: bool
+    newest_s: float
+
+
 class _LivePage:
     def __init__(self, session: TabSession, link: "LiveLink") -> None:
         self._session, self._link = session, link
-        self._count, self._newest = 0, link.minutes[-1].time_s if link.minutes else 0.0
+        self._count = 0
+        self._sparks: list[_Spark] = []
         self._tracks: dict[tuple[str, str], tuple[ui.element, Words]] = {}
         self._axes: tuple[str, ...] = ()
         self._limits: dict[str, tuple[float, float]] = {}
 
     def build(self) -> None:
         link = self._link
-        self._state = Words("p", "", "state").props('role="status" aria-live="polite"')
+        with ui.element("div").classes("row"):
+            Words("span", "Correction:", "lead")
+            self._state = Words("p", "", "state").props('role="status" aria-live="polite"')
         self._lead = Words("p", "", "small")
         if link.role == "operate":
             with ui.element("div").classes("row"):
@@ -69,8 +93,8 @@ class _LivePage:
         self._message = Words("p", "", "lead").props('role="status" aria-live="polite"')
         self._make_bars()
         with ui.element("div").classes("plots"):
-            self._minutes = self._spark("Applied correction, last 10 minutes", link.minutes, temperatures=False)
-            self._warm = self._spark("Temperatures, last 10 minutes", link.minutes, temperatures=True)
+            self._spark("Applied correction, last 10 minutes", link.minutes, temperatures=False)
+            self._spark("Temperatures, last 10 minutes", link.minutes, temperatures=True)
             self._spark("Applied correction, last 24 hours", link.hours, temperatures=False)
             self._spark("Temperatures, last 24 hours", link.hours, temperatures=True)
         self._tables = Area(self._make_tables)
@@ -113,7 +137,8 @@ class _LivePage:
                     for name, _ in (*BARS, ("residual", "")):
                         self._bar(axis, name, warning, stop)
                     if stop:
-                        Words("p", f"Flagged beyond ±{warning:g} µm, not followed beyond ±{stop:g} µm.", "small")
+                        beyond = f"A request beyond ±{warning:g} µm (dashed) is flagged, one beyond ±{stop:g} µm"
+                        Words("p", f"{beyond} is not followed.", "small")
 
     def _bar(self, axis: str, name: str, warning: float, stop: float) -> None:
         with ui.element("div").classes("bar"):
@@ -138,42 +163,53 @@ class _LivePage:
                 unit = "" if value is None else " µm"
                 words.set_text(f"{um_text(value)}{unit}" if name != "residual" or value is None else f"{value:.2f} µm")
 
-    def _spark(self, title: str, kept: "Sequence[Moment]", *, temperatures: bool) -> "Chart":
+    def _spark(self, title: str, kept: "deque[Moment]", *, temperatures: bool) -> None:
         from rtec.studio import figures
         from rtec.studio.chart import Chart
 
         names = self._names(temperatures)
         unit_s, unit = (60.0, "minutes") if kept is self._link.minutes else (3600.0, "hours")
         data = [
-            {"type": "scatter", "mode": "lines", "name": figures.text(n), "x": [m.time_s / unit_s for m in kept],
-             "y": [_of(m, n, temperatures) for m in kept], "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2}}
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": figures.text(n),
+                "x": [m.time_s / unit_s for m in kept],
+                "y": [_of(m, n, temperatures) for m in kept],
+                "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2},
+                "marker": {"size": 4},
+            }
             for k, n in enumerate(names)
-        ]  # fmt: skip
-        up = figures.axis("°C" if temperatures else "µm")
+        ]
+        up = figures.axis("temperature, °C" if temperatures else "correction, µm")
         layout = figures.layout(
-            xaxis=figures.axis(f"{unit} since the daemon began", nticks=6), yaxis=up, dragmode="zoom", showlegend=True,
+            xaxis=figures.axis(f"{unit} since the daemon began", nticks=6, rangemode="nonnegative"),
+            yaxis=up,
+            dragmode="zoom",
+            showlegend=True,
             legend={"x": 1.01, "y": 1.0, "yanchor": "top", "font": {"size": 13}},
-        )  # fmt: skip
+        )
         with ui.element("div").classes("card"):
             Words("h2", title)
-            return Chart({"data": data, "layout": layout}, title).classes("low")
+            chart = Chart({"data": data, "layout": layout}, title).classes("low")
+        self._sparks.append(_Spark(chart, kept, unit_s, temperatures, kept[-1].time_s if kept else 0.0))
 
     def _names(self, temperatures: bool) -> list[str]:
         found = self._link.status
         return list(found["status"]["degc" if temperatures else "applied_um"]) if found is not None else []
 
     def _append(self) -> None:
-        now = self._link.minutes[-1] if self._link.minutes else None
-        if now is None or now.time_s == self._newest:
-            return
-        if now.time_s < self._newest:
-            self._session.on_change()  # the daemon was restarted: its time begins at zero
-            return
-        self._newest = now.time_s
-        for chart, temperatures in ((self._minutes, False), (self._warm, True)):
-            values = [_of(now, n, temperatures) for n in self._names(temperatures)]
-            most = self._link.minutes.maxlen or 0
-            chart.append([[now.time_s / 60.0]] * len(values), [[v] for v in values], most)
+        for spark in self._sparks:
+            now = spark.kept[-1] if spark.kept else None
+            if now is None or now.time_s == spark.newest_s:
+                continue
+            if now.time_s < spark.newest_s:
+                self._session.on_change()  # the daemon was restarted: its time begins again
+                return
+            spark.newest_s = now.time_s
+            values = [_of(now, n, spark.temperatures) for n in self._names(spark.temperatures)]
+            across = [[now.time_s / spark.unit_s]] * len(values)
+            spark.chart.append(across, [[v] for v in values], spark.kept.maxlen or 0)
 
     def _make_tables(self) -> None:
         from rtec.report.page import Table
@@ -188,7 +224,7 @@ class _LivePage:
                     Words("h2", "What is wrong")
                     for line in wrong:
                         Words("p", line, "trouble")
-            with ui.element("div").classes("card"):
+            with ui.element("div").classes("card whole"):
                 Words("h2", "Axes")
                 table(
                     Table(
@@ -201,7 +237,7 @@ class _LivePage:
             with ui.element("div").classes("card"):
                 Words("h2", "Inputs and their ages")
                 table(Table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else []))
-            with ui.element("div").classes("card"):
+            with ui.element("div").classes("card whole"):
                 Words("h2", "Events, newest first")
                 rows = [
                     [e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]] for e in reversed(found["events"])

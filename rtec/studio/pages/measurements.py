@@ -20,6 +20,8 @@ from rtec.text import clean
 from rtec.wording import counted
 
 LARGEST_UPLOAD = 512 * 1024 * 1024
+FEW = 2
+"""Remarks that are not folded away."""
 
 
 def build(session: TabSession) -> None:
@@ -60,9 +62,8 @@ async def _try_it(session: TabSession) -> None:
     await session.work("Making the example", tasks.try_it, session.folder.root, beside="try")
     if not session.trouble:
         session.look()
-        session.machine, session.model = example.MACHINE, example.MODEL
-        session.chosen = tuple(f"{n}.csv" for n in example.BEAMS)
-        session.forget()
+        beams = tuple(f"{n}.csv" for n in example.BEAMS)
+        session.choose(machine=example.MACHINE, model=example.MODEL, chosen=beams)
         session.on_change()
 
 
@@ -104,8 +105,8 @@ def _import(session: TabSession, name: str) -> None:
     session.go("import")
 
 
-async def _look(session: TabSession, rows: "list[_Row]") -> None:
-    """Read the measurements that have not been read yet."""
+async def _look(session: TabSession, shown: list[Callable[[], None]]) -> None:
+    """Read what has not been read yet, and show it."""
     known = {s.file for s in session.summaries.values()}
     todo = [n for n in session.listing.measurements if n not in known]
     if not session.machine or not todo:
@@ -120,11 +121,12 @@ async def _look(session: TabSession, rows: "list[_Row]") -> None:
         found = tuple(Summary(name, trouble=str(e)) for name in todo)
     if session.machine == machine:
         session.summaries |= {s.file: s for s in found}
-        for row in rows:
-            row.show()
+        for show in shown:
+            show()
 
 
-def _measurements(session: TabSession, used: Callable[[], None]) -> "list[_Row]":
+def _measurements(session: TabSession, used: Callable[[], None]) -> list[Callable[[], None]]:
+    """The list of measurements and of tables to import; gives what shows again what is known of them."""
     there = session.listing
     if not there.measurements:
         Words(
@@ -132,16 +134,36 @@ def _measurements(session: TabSession, used: Callable[[], None]) -> "list[_Row]"
         )
     elif not session.machine:
         Words("p", "Choose the machine above; then they can be read.", "small")
-    rows = _list(session, used) if there.measurements else []
+    shown = [row.show for row in _list(session, used)] if there.measurements else []
     if there.foreign:
         Words("h2", "Tables of other programs")
         for name in there.foreign:
-            with ui.element("div").classes("row"):
-                Words("span", name).style("min-width: 16rem; overflow-wrap: anywhere")
-                label(button("Import", partial(_import, session, name), main=not there.measurements), f"Import {name}")
+            shown.append(_Foreign(session, name).show)
     if there.more:
         Words("p", f"{counted(there.more, 'more file')} in the folder; only the first are listed.", "small")
-    return rows
+    return shown
+
+
+class _Foreign:
+    """A table of another program in the list, and the measurements that were made from it."""
+
+    def __init__(self, session: TabSession, name: str) -> None:
+        self._session, self._name = session, name
+        with ui.element("div").classes("row"):
+            Words("span", name).style("min-width: 16rem; overflow-wrap: anywhere")
+            self._button = button("Import", partial(_import, session, name))
+            label(self._button, f"Import {name}")
+            self._said = Words("span", "", "small")
+        self.show()
+
+    def show(self) -> None:
+        """Show what was made from it."""
+        if self._said.is_deleted:
+            return
+        note = f"imported from {self._name}"
+        made = [clean(s.file) for s in self._session.summaries.values() if note in s.notes]
+        self._said.set_text(f"imported as {', '.join(made)}" if made else "")
+        self._button.classes(add="plain" if made else "main", remove="main" if made else "plain")
 
 
 def _list(session: TabSession, used: Callable[[], None]) -> "list[_Row]":
@@ -178,8 +200,7 @@ class _Row:
     def _use(self, event: events.ValueChangeEventArguments[bool | None]) -> None:
         s = self._session
         chosen = {*s.chosen, self._name} if event.value else set(s.chosen) - {self._name}
-        s.chosen = tuple(n for n in s.listing.measurements if n in chosen)
-        s.forget()
+        s.choose(chosen=tuple(n for n in s.listing.measurements if n in chosen))
         self._row.classes(add="picked" if event.value else "", remove="" if event.value else "picked")
         s.on_names()
         self._used()
@@ -196,9 +217,7 @@ def _cells(s: Summary, box: ui.checkbox) -> list[Element]:
         Words("td", " ".join([s.instrument, s.axis]).strip() or "…", "words"),
         Words("td", str(s.runs) if s.rows else ""),
         Words("td", str(s.rows) if s.rows else ""),
-        Words("td", "\n".join([*spans, *([f"{s.hours:.1f} h"] if s.rows else [])]), "words").style(
-            "white-space: pre-line"
-        ),
+        Words("td", "\n".join([*spans, *([f"{s.hours:.1f} h"] if s.rows else [])]), "words").style("white-space: pre"),
     ]
     with ui.element("td").classes("words") as remarks:
         if warm:
@@ -206,15 +225,24 @@ def _cells(s: Summary, box: ui.checkbox) -> list[Element]:
                 Words("summary", counted(len(warm), "sensor"))
                 for line in warm:
                     Words("div", line, "small")
-        for note in s.notes:
-            Words("div", note, "small")
+        if len(s.notes) <= FEW:
+            _notes(s)
+        else:
+            with ui.element("details"):
+                Words("summary", counted(len(s.notes), "remark"))
+                _notes(s)
     return [*cells, remarks]
+
+
+def _notes(s: Summary) -> None:
+    for note in s.notes:
+        Words("div", note, "small")
 
 
 def _machine(session: TabSession) -> None:
     def choose(event: events.ValueChangeEventArguments[str | None]) -> None:
-        session.machine, session.summaries = event.value or "", {}
-        session.forget()
+        session.summaries = {}
+        session.choose(machine=event.value or "")
         session.on_change()
 
     def take(event: events.ValueChangeEventArguments[str | None]) -> None:
@@ -237,7 +265,7 @@ def _machine(session: TabSession) -> None:
                 Words("p", "No machine file in the folder. Drop one above, or begin with one that comes with rtec:")
                 shipped = sorted(p.name for p in (SHIPPED / "machines").glob("*.toml"))
                 made = ui.select(shipped, label="Machine that comes with rtec", on_change=take)
-            made.props("outlined").style("min-width: 18rem")
+            made.props("outlined").style("min-width: 22rem")
         trouble(session, "machine")
 
 
@@ -271,12 +299,11 @@ class _ModelCard:
     def refresh(self) -> None:
         """Update the card after other measurements were chosen."""
         self._command.redo()
-        if self._lacked != self._session.lacks:
-            self._next.redo()  # only then: a click under way still needs its button
+        if self._shown != (self._session.lacks, self._session.aside):
+            self._next.redo()  # else a click that is under way would find its button gone
 
     def _choose(self, event: events.ValueChangeEventArguments[str | None]) -> None:
-        self._session.model = event.value or ""
-        self._session.forget()
+        self._session.choose(model=event.value or "")
         self._session.on_change()
 
     def _show_command(self) -> None:
@@ -289,15 +316,29 @@ class _ModelCard:
         command(" ".join(quote(w) for w in given), "The same on the command line:")
 
     def _show_next(self) -> None:
-        self._lacked = self._session.lacks
-        if not self._session.lacks:
-            go = partial(self._session.go, "compare")
-            button("Compare the model with the measurements", go, main=True)
+        s = self._session
+        self._shown = s.lacks, s.aside
+        if not s.lacks:
+            button("Compare the model with the measurements", partial(s.go, "compare"), main=True)
+        if s.aside:
+            last = s.aside[-1]
+            with ui.element("div").classes("card open").props('role="status"'):
+                Words("p", f"Not saved, and put aside because other files were chosen: {last.words}, added to "
+                           f"{last.model} with {', '.join(last.chosen)}.")  # fmt: skip
+                button("Bring it back", self._bring_back)
+
+    def _bring_back(self) -> None:
+        self._session.bring_back()
+        self._session.on_change()
 
     async def _fit(self) -> None:
         from rtec.studio import tasks
 
         s = self._session
+        if not (s.machine and s.chosen):
+            s.fail("Choose the machine and at least one measurement first.", "fit")
+            s.on_change()
+            return
         try:
             out = _checked(s, self._name.value or "")
         except RtecError as e:
@@ -309,8 +350,7 @@ class _ModelCard:
         if verdict is not None:
             s.look()
             s.view.pop("fit_out", None)
-            s.model = out.name
-            s.forget()
+            s.choose(model=out.name)
             s.on_change()
 
 
@@ -318,15 +358,13 @@ def _checked(session: TabSession, name: str) -> Path:
     """Path of a new model file.
 
     Raises:
-        RtecError: the name cannot be used, or there is no measurement to fit.
+        RtecError: why there can be none.
     """
     out = session.folder.path(name)
     if out.suffix != ".toml":
         raise RtecError(f"{name}: a model file ends in .toml")
     if out.exists():
         raise RtecError(f"{name}: another file of that name is in the folder; give the model a new name")
-    if not (session.machine and session.chosen):
-        raise RtecError("choose the machine and at least one measurement first")
     return out
 
 

@@ -142,6 +142,9 @@ def test_improve_asks_at_each_step_and_saves_what_the_command_line_saves(story: 
     page.get_by_role("button", name="Save", exact=True).wait_for(state="detached")
     page.get_by_role("button", name="Improve step by step").click()
     page.get_by_text("Step 1: add backlash(EXX, X)?").wait_for()
+    offered = page.get_by_role("alertdialog").locator(".q-btn", has_text="(probability").all_inner_texts()
+    effects = [text.partition(" (probability")[0] for text in offered]
+    assert len(set(effects)) == len(effects) == 4  # degrees of one effect are others
     page.get_by_role("button", name="Add backlash(EXX, X) (").click()
     page.get_by_text("It ended because").wait_for()
     page.get_by_label("File for the model").fill("improved.toml")
