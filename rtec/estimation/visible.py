@@ -29,19 +29,22 @@ def longest_arms(measurement: Measurement) -> Floats:
     return np.asarray(np.abs(measurement.instrument.arms(measurement.machine, pose)).max(axis=(0, 1)))
 
 
-def longest_lag_s(measurements: Sequence[Measurement]) -> float:
-    """Half of the longest measurement: what lags longer hardly moves, and its coefficient may be of any size."""
-    return max((float(m.time_s[-1] - m.time_s[0]) for m in measurements if len(m)), default=0.0) / 2.0
+def longest_s(measurements: Sequence[Measurement]) -> float:
+    """Duration of the longest measurement, s."""
+    return max((float(m.time_s[-1] - m.time_s[0]) for m in measurements if len(m)), default=0.0)
 
 
-def within_record(effect: Effect, measurements: Sequence[Measurement]) -> list[Parameter]:
-    """Non-linear parameters of an effect, in order, its delays no longer than measurements show: bounds and grid.
+def within_record(effect: Effect, measurements: Sequence[Measurement], share: float = 1.0) -> list[Parameter]:
+    """Non-linear parameters of an effect, in order, with bounds and grid of delays cut to what measurements show.
+
+    What lags by more than the record hardly moves in it, so that its coefficient may be of any size.
 
     Args:
         effect: the effect.
         measurements: of its machine.
+        share: longest delay as a share of the longest measurement.
     """
-    longest, out = longest_lag_s(measurements), []
+    longest, out = share * longest_s(measurements), []
     for p in effect.nonlinear(measurements[0].machine):
         if p.unit == "s" and p.low > 0.0:  # a delay; an instant may be any
             high = min(p.high, max(longest, 2.0 * p.low))

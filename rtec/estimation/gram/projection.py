@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter
 from rtec.estimation.gram.normal import Normal
-from rtec.estimation.gram.source import Source
+from rtec.estimation.gram.source import LONGEST_LAG, Source
 from rtec.estimation.gram.stream import Progress, Slope, Term, gather
 from rtec.estimation.visible import within_record
 from rtec.machine import Machine
@@ -87,7 +87,7 @@ def starting_terms(effects: Sequence[Effect], sources: Sequence[Source]) -> list
 def polish(sources: Sequence[Source], terms: Sequence[Term], progress: Progress | None = None) -> Polished:
     """Find the parameters of all terms together, beginning at those that they have."""
     measurements = [s.measurement for s in sources]
-    free = [(i, p) for i, t in enumerate(terms) for p in within_record(t.effect, measurements)]
+    free = [(i, p) for i, t in enumerate(terms) for p in within_record(t.effect, measurements, LONGEST_LAG)]
     if not free:
         return Polished(tuple(terms), (), gather(sources, terms, progress), ())
     place = np.clip([_place(p, terms[i].theta[p.name]) for i, p in free], 0.0, 1.0)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rtec.effects import State
 from rtec.estimation.candidates import REAL
 from rtec.estimation.held_out import Blocks, cuts
-from rtec.estimation.visible import NO_ARM, longest_arms, longest_lag_s
+from rtec.estimation.visible import NO_ARM, longest_arms, longest_s
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
@@ -225,6 +225,8 @@ def thinned(source: Source, most: int) -> Source:
 
 
 TAU_S = (150.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
+LONGEST_LAG = 0.5
+"""Longest delay as a share of the longest measurement: a free choice would use longer ones for drift."""
 REAL_K = REAL["degc"]
 """Temperatures that vary by less are not a cause but the sensor's noise."""
 INNER = (1.0, 99.0)
@@ -270,7 +272,10 @@ def _still(varied_k: dict[str, float]) -> list[str]:
 
 def lags_s(sources: Sequence[Source]) -> list[float]:
     """Time constants worth trying: longer than two readings apart, and no longer than `longest_lag_s`."""
-    steps, longest = [np.diff(s.measurement.time_s) for s in sources], longest_lag_s([s.measurement for s in sources])
+    steps, longest = (
+        [np.diff(s.measurement.time_s) for s in sources],
+        LONGEST_LAG * longest_s([s.measurement for s in sources]),
+    )
     apart = min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=np.inf)
     return [tau for tau in TAU_S if 2 * apart <= tau <= longest]
 
