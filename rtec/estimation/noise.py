@@ -1,7 +1,7 @@
-"""The noise of each series: white, drifting, and an offset for each run; found by restricted maximum likelihood.
+"""The noise of each series: white, drift, and an offset of each run; estimated by restricted maximum likelihood.
 
-Without a drift model every method cries wolf: neighbouring readings share the drift of the hour, and what is shared
-looks like an effect of anything that also changes slowly.
+Without a drift model every method gives false alarms: neighbouring readings share the drift of the hour, and this
+shared part looks like any effect that also changes slowly.
 """
 
 import math
@@ -20,20 +20,20 @@ from rtec.wording import significant
 Floats = NDArray[np.float64]
 
 WIDE = 1e5
-"""Variance of a run's unknowns over that of the readings: large, so that only the readings decide."""
+"""Variance of a run's unknowns over that of the readings: large, so that only the readings determine them."""
 USUAL_DRIFT, SPREAD = math.log(1.0), 2.5
 """Weak prior on the drift's variance over the white noise's: log-normal, centre and spread of the logarithm."""
 USUAL_OFFSET = math.log(0.3)
 START = ((0.2, 0.01), (0.2, 0.05), (2.0, 0.05), (2.0, 0.25), (20.0, 0.25))
-"""Where the search looks first: drift's variance, and time constant as a share of the record."""
+"""Start of the search: drift's variance, and time constant as a share of the record."""
 STEPS = 60
 MANY, STRETCH = 8000, 400
-"""A longer series is searched through stretches of so many readings, so many in all."""
+"""Readings of the longest series that is searched whole; of a longer one, stretches of `STRETCH`, `MANY` in total."""
 DRIFT_BOUNDS = (1e-4, 1e5)
 INEXACT = 0.05
-"""No law of a machine is truer than so: this share of what it is to explain counts as white noise at the least.
+"""No law of a machine is more accurate than this: the least white noise, as a share of what it is to explain.
 
-Else the likelihood of very quiet readings is ruled by quick changes far below what anybody wants explained.
+Otherwise quick changes far below any interest would dominate the likelihood of very quiet readings.
 """
 
 
@@ -55,7 +55,7 @@ class Noise:
 
     @property
     def floor(self) -> float:
-        """What noise alone leaves, root mean square."""
+        """Root mean square of noise alone, in the unit of the readings."""
         return self.sigma * math.sqrt(1.0 + self.drift + self.offset)
 
     def words(self, name: str, unit: str) -> str:
@@ -71,7 +71,7 @@ class Noise:
 
 
 def minutes(seconds: float) -> str:
-    """A time as people say it."""
+    """A duration in words."""
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
@@ -96,7 +96,7 @@ class Filter:
 
 
 def make_filter(series: Series, wide: Floats, noise: Noise) -> Filter:
-    """Work out the filter of a series under a noise."""
+    """The filter of a series under a noise."""
     n, k = series.nuisance.shape
     decay, gain, scale = np.empty(n), np.empty((n, 2 + k)), np.empty(n)
     log_det = gains(
@@ -142,7 +142,7 @@ class Whitener:
         return out[:, 0] if flat else out
 
     def covary(self, columns: Floats) -> Floats:
-        """Columns, (m, p), times the covariance of the readings, the unknowns of each run aside."""
+        """Columns, (m, p), times the covariance of the readings without the unknowns of each run."""
         out = np.empty_like(columns)
         for s, n in zip(self.readings.series, self.noises, strict=True):
             mine = np.ascontiguousarray(columns[s.part])
@@ -159,17 +159,17 @@ class Whitener:
 
     @property
     def floor(self) -> Floats:
-        """What noise alone leaves of each series, (series,)."""
+        """Root mean square of noise alone, (series,)."""
         return np.fromiter((n.floor for n in self.noises), dtype=np.float64)
 
 
 def least_noise(readings: Readings, left: Floats) -> tuple[float, ...]:
-    """The least white noise of each series where so much, (m,), is left to be explained."""
+    """The least white noise of each series, given what is to be explained, (m,)."""
     return tuple(INEXACT * math.sqrt(float(np.mean(left[s.part] ** 2))) for s in readings.series)
 
 
 def _at_least(noise: Noise, sigma: float) -> Noise:
-    """A noise whose white part is no smaller than given; drift and offset stay what they are."""
+    """A noise whose white part is at least `sigma`; drift and offset keep their size."""
     if noise.sigma >= sigma:
         return noise
     less = (noise.sigma / sigma) ** 2
@@ -177,7 +177,7 @@ def _at_least(noise: Noise, sigma: float) -> Noise:
 
 
 def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tuple[float, ...] = ()) -> Whitener:
-    """Find the noise of every series with the current model's columns as its mean.
+    """Estimate the noise of every series, with the current model's columns as its mean.
 
     Args:
         readings: the readings.
@@ -195,11 +195,11 @@ def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tupl
 
 
 CALM = 0.1
-"""Variance of the drift, and of the runs' offsets, over the white noise's where hardly any is supposed."""
+"""Variance of nearly no drift, and of nearly no offsets of runs, over the white noise's."""
 
 
 def without_drift(whitener: Whitener) -> Whitener:
-    """Hardly any drift: white noise as rough as neighbouring readings differ."""
+    """Nearly no drift: white noise from the differences of neighbouring readings."""
     noises = []
     for s, now in zip(whitener.readings.series, whitener.noises, strict=True):
         span = max(float(s.time_s[-1] - s.time_s[0]), 1.0)
@@ -209,7 +209,7 @@ def without_drift(whitener: Whitener) -> Whitener:
 
 
 def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
-    """Find the noises anew from what a fit leaves, starting where they are, (m,)."""
+    """Re-estimate the noises from the residual of a fit, (m,), starting at the current ones."""
     noises = []
     for s, wide, now in zip(whitener.readings.series, whitener.wides, whitener.noises, strict=True):
         noises.append(_of_residual(s, wide, left[s.part], now, steps))
@@ -217,20 +217,20 @@ def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
 
 
 def log_likelihood(whitener: Whitener, white: Floats) -> float:
-    """Log likelihood of what a fit leaves, whitened, (m,), up to a constant, with the weak priors."""
+    """Log likelihood of the whitened residual of a fit, (m,), up to a constant, with the weak priors."""
     priors = sum(_prior(n) for n in whitener.noises)
     return -0.5 * (whitener.log_det + float(white @ white)) + priors
 
 
 def _wide(series: Series, y: Floats) -> Floats:
-    """Variances of the unknowns of each run, over that of the white noise."""
+    """Variances of the unknowns of each run, over that of the white noise, (k,)."""
     size = np.sqrt(np.mean(series.nuisance**2, axis=0)) if series.nuisance.shape[1] else np.zeros(0)
     spread = max(float(np.std(y)) / _roughness(series, y), 10.0)
     return np.asarray(WIDE * spread**2 / np.maximum(size, 1e-12) ** 2, dtype=np.float64)
 
 
 def _roughness(series: Series, y: Floats) -> float:
-    """White noise from how neighbouring readings of a run differ."""
+    """White noise from the differences of neighbouring readings of a run."""
     step = np.diff(y)[np.diff(series.run) == 0]
     robust = 1.4826 * float(np.median(np.abs(step - np.median(step)))) / math.sqrt(2.0) if len(step) else 0.0
     return max(robust, 0.01 * float(np.std(y)), 1e-9)
@@ -247,12 +247,12 @@ def _orthonormal(columns: Floats) -> Floats:
 
 
 def _has_zero(series: Series) -> bool:
-    """Whether each run's zero is unknown anyway."""
+    """Whether the zero of each run is unknown."""
     return bool((np.ptp(series.nuisance, axis=0) == 0.0).any()) if series.nuisance.shape[1] else False
 
 
 class _Mean:
-    """−2 log restricted likelihood of a series whose mean lies in the base, white variance profiled."""
+    """−2 log restricted likelihood of a series whose mean is in the base, white variance profiled."""
 
     def __init__(self, series: Series, wide: Floats, base: Floats, y: Floats) -> None:
         self.series, self.wide = series, wide
@@ -289,10 +289,10 @@ def noise_bounds(series: Series) -> Floats:
 
 
 def found_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[np.bool_]], Floats]) -> Whitener:
-    """Noise of readings of which long series are searched through stretches.
+    """Noise of readings, where long series are searched on stretches.
 
     Args:
-        readings: all of them.
+        readings: all readings.
         columns: gives the columns of the mean for some readings, and which of all these are, (m,).
     """
     keep = np.ones(len(readings), dtype=bool)
@@ -307,7 +307,7 @@ def found_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[
 
 
 def _stretches(n: int) -> NDArray[np.int64]:
-    """Stretches of neighbouring readings, evenly over a long series: short and long memory both show; else all."""
+    """Stretches of neighbouring readings, evenly over a long series, so that short and long memory show; else all."""
     if n <= MANY:
         return np.arange(n)
     first = np.linspace(0, n - STRETCH, MANY // STRETCH).astype(np.int64)
@@ -315,7 +315,7 @@ def _stretches(n: int) -> NDArray[np.int64]:
 
 
 def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: int) -> Noise:
-    """Noise of a series that has no mean left, searched for from a noise that is about right."""
+    """Noise of a series of residuals without a mean, searched from an approximate noise."""
     from rtec.estimation.whitening import likelihood, walk
 
     start = [math.log(now.drift), math.log(now.tau_s)] + ([math.log(now.offset)] if now.offset > 0.0 else [])
@@ -332,7 +332,7 @@ def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: 
 
 
 def _prior(noise: Noise) -> float:
-    """Log of the weak priors; they keep a parameter that the readings do not decide from running away."""
+    """Log of the weak priors; they keep bounded a parameter that the readings do not determine."""
     value = -0.5 * ((math.log(noise.drift) - USUAL_DRIFT) / SPREAD) ** 2
     if noise.offset > 0.0:
         value -= 0.5 * ((math.log(noise.offset) - USUAL_OFFSET) / SPREAD) ** 2

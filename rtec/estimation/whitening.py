@@ -1,17 +1,17 @@
 """Whitening in time proportional to the number of readings: a Kalman filter's innovations.
 
 The noise of a series is white, plus a drift that forgets (Ornstein-Uhlenbeck, variance d, time constant τ), plus an
-offset of each run (variance r), plus what is unknown of each run (zero, slope: variance so
-large that only the readings decide). With white variance one, the filter's innovations over their standard deviations
-are `L⁻¹ y` with `L Lᵀ = Σ`, up to nothing: the same numbers as by a Cholesky factor, without the matrix.
+offset of each run (variance r), plus the unknowns of each run (zero, slope: variance so large that only the readings
+determine them). With white variance one, the filter's innovations over their standard deviations are exactly `L⁻¹ y`
+with `L Lᵀ = Σ`: the same numbers as by a Cholesky factor, without the matrix.
 
 The state is [drift, offset of the run, unknowns of the run …]; the gains do not depend on the readings, so they are
-worked out once and then used on every column.
+computed once and then used on every column.
 
-Finds drift, memory and run offset of a series that has no mean left, in one compiled search.
+The module also estimates drift, memory and run offset of a series without a mean, in one compiled search.
 
-A diagnosis looks for the noise anew for each of its best candidates, a few hundred times; each look is a Nelder-Mead
-walk over three logarithms, and all of it happens here without going through Python.
+A diagnosis re-estimates the noise for each of its best candidates, a few hundred times; each estimate is a Nelder-Mead
+search over three logarithms, and runs here entirely without Python.
 """
 
 import math
@@ -38,17 +38,17 @@ def gains(  # noqa: PLR0912
     gain: Floats,
     scale: Floats,
 ) -> float:
-    """Work out the filter of one series.
+    """Compute the filter of one series.
 
     Args:
         time_s: (n,), not falling.
         run: (n,), another number where a run begins.
-        unknown: what is unknown of each run, (n, k).
+        unknown: values of the unknowns of each run, (n, k).
         drift: variance of the drift over that of the white noise.
         tau_s: its time constant.
         offset: variance of the runs' offsets over that of the white noise.
         wide: variances of the unknowns, (k,).
-        decay: written: how much of the drift is left since the last reading, (n,).
+        decay: written: share of the drift that remains since the last reading, (n,).
         gain: written: gain of each state, (n, 2 + k).
         scale: written: one over the standard deviation of the innovation, (n,).
 
@@ -69,7 +69,7 @@ def gains(  # noqa: PLR0912
             ratio = (time_s[i] - time_s[i - 1]) / tau_s
             decay[i] = math.exp(-ratio) if ratio < 25.0 else 0.0
         if i == 0 or run[i] != run[i - 1]:
-            # A new run: what belonged to the last one is forgotten.
+            # A new run: the state of the last one is forgotten.
             drift_left = p[0, 0]
             for a in range(size):
                 for b in range(size):
@@ -107,9 +107,9 @@ def gains(  # noqa: PLR0912
 def _gains_of_two(
     time_s: Floats, run: Ints, drift: float, tau_s: float, offset: float, decay: Floats, gain: Floats, scale: Floats
 ) -> float:
-    """`gains` where no run has unknowns: the same steps, number by number."""
+    """`gains` where no run has unknowns: the same steps, written out."""
     p, q, r, total = 0.0, 0.0, 0.0, 0.0
-    step, kept = -1.0, 0.0  # even steps forget alike
+    step, kept = -1.0, 0.0  # equal steps have equal decay
     for i in range(len(time_s)):
         if i > 0 and time_s[i] - time_s[i - 1] != step:
             step = time_s[i] - time_s[i - 1]
@@ -281,10 +281,10 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
 
 @njit
 def _of_two(time_s: Floats, run: Ints, left: Floats, drift: float, tau_s: float, offset: float) -> tuple[float, float]:
-    """`likelihood` where no run has unknowns: the same steps, number by number."""
+    """`likelihood` where no run has unknowns: the same steps, written out."""
     p, q, r, x, y = 0.0, 0.0, 0.0, 0.0, 0.0
     log_det, square = 0.0, 0.0
-    step, kept = -1.0, 0.0  # even steps forget alike
+    step, kept = -1.0, 0.0  # equal steps have equal decay
     for i in range(len(time_s)):
         if i > 0 and time_s[i] - time_s[i - 1] != step:
             step = time_s[i] - time_s[i - 1]
@@ -319,7 +319,7 @@ def noise_cost(
     Args:
         time_s, run, unknown, wide, left: as in `likelihood`.
         freedom: readings less unknowns.
-        x: logarithms, (2,) or (3,); beyond the bounds they count as on them.
+        x: logarithms, (2,) or (3,); clipped to the bounds.
         bounds: lowest, highest, centre and spread of the prior (spread 0: none) of each, (3, 4).
     """
     value = np.empty(3)
@@ -339,7 +339,7 @@ def walk(  # noqa: PLR0912 - one walk, compiled
     time_s: Floats, run: Ints, unknown: Floats, wide: Floats, left: Floats, freedom: float, start: Floats,
     bounds: Floats, evaluations: int,
 ) -> Floats:  # fmt: skip
-    """Nelder and Mead's walk from `start`; gives the best place, (2,) or (3,), within the bounds."""
+    """Nelder and Mead's search from `start`; gives the best place, (2,) or (3,), within the bounds."""
     d = len(start)
     place, cost = np.empty((d + 1, d)), np.empty(d + 1)
     for k in range(d + 1):
