@@ -1,8 +1,8 @@
-"""Adds effects to a model, refits everything, and says what it bought on runs that were left out.
+"""Adds effects to a model, refits everything, and reports the error on held-out runs before and after.
 
-An effect as a person asks for it: its name, a component, and what else it needs to know.
+A user requests an effect by its name, a component and its arguments.
 
-What was passed over when one of several effects was taken that the readings cannot tell apart.
+Where the readings cannot separate the added effect from others, those rivals are recorded.
 """
 
 import tomllib
@@ -47,12 +47,12 @@ TOLD = 4
 
 @dataclass(frozen=True)
 class PassedOver:
-    """An effect that would have done as well.
+    """An effect that explains the readings equally well.
 
     Attributes:
         label: short name.
         confidence: its posterior probability; None where it was not fitted.
-        test: the measurement that tells it from what was taken; empty where none is known.
+        test: the measurement that separates it from the added effect; empty where none is known.
     """
 
     label: str
@@ -60,7 +60,7 @@ class PassedOver:
     test: str
 
     def facts(self) -> dict[str, Any]:
-        """As plain data, without what is not known."""
+        """As plain data, without unknown items."""
         out: dict[str, Any] = {"effect": self.label}
         if self.confidence is not None:
             out["confidence"] = self.confidence
@@ -68,13 +68,13 @@ class PassedOver:
 
 
 def rivals_of(found: Diagnosis, taken: Finding) -> tuple[PassedOver, ...]:
-    """Everything that these readings cannot tell from what was taken, likeliest first.
+    """All effects that these readings cannot distinguish from the added one, likeliest first.
 
-    What explains another part of the readings is no rival of it: it is looked for again once this one is in the model.
+    An effect that explains another part of the readings is no rival: the next search considers it again.
 
     Args:
         found: the diagnosis that proposed it.
-        taken: one of its findings.
+        taken: the added one of its findings.
     """
     if not found.findings or not found.findings[0].accepted:
         return ()
@@ -102,7 +102,7 @@ def _test(alike: Alike | None) -> str:
 
 
 def said(taken: Finding, rivals: Sequence[PassedOver]) -> tuple[str, ...]:
-    """That the readings did not decide, which rivals there were, and what tells each apart."""
+    """Note that the readings did not decide, with the rivals and the test that separates each."""
     named = ", ".join(
         r.label + (f" ({percent(r.confidence)})" if r.confidence is not None else "") for r in rivals[:TOLD]
     )
@@ -116,9 +116,9 @@ Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
 WORTH = 1e-3
-"""A relative fall of the held-out error of less is none: numbers that are free to move always find a little."""
+"""A smaller relative fall of the held-out error counts as none: free numbers always lower it a little."""
 ROUNDING = 1e-9
-"""What is left of a column that the instrument's own unknowns take up entirely, as a share of it, is no more."""
+"""A column is absorbed by the instrument's own unknowns where they leave less than this share of it."""
 
 
 @dataclass(frozen=True)
@@ -127,18 +127,18 @@ class Added(Result):
 
     Attributes:
         model: refitted, with its history.
-        labels: what was added.
-        before: the model as it was, refitted to the same measurements.
-        after: with the new effects.
-        floor: what noise alone leaves, as `compare` has it.
+        labels: of the added effects.
+        before: errors of the model before, refitted to the same measurements.
+        after: errors with the new effects.
+        floor: noise floor, as in `compare`.
         unit: "um", "urad", or "noise" (multiples of it).
-        better: whether the error on held-out runs fell, by more than nothing.
+        better: whether the error on held-out runs fell significantly.
         smoothed: held-out error with temperatures smoothed both ways in time, which the loop cannot do.
-        notes: what else is to be known, in words.
+        notes: further remarks, in words.
         floor_from: "repeats", "short-time differences", or both.
-        passed_over: what these readings cannot tell from what was added.
-        undetermined: effects that cancel each other since it was added: only their sum is known.
-        doubts: about the record, in words, where it is in such doubt that no number of the model should follow it.
+        passed_over: effects that these readings cannot distinguish from the added one.
+        undetermined: effects that cancel each other since the addition: only their sum is determined.
+        doubts: about the record, in words, where they rule out fitting any number of the model to it.
     """
 
     page_maker: ClassVar[str] = "rtec.report.additions:added_page"
@@ -185,10 +185,10 @@ class Added(Result):
 def new_effect(
     effect: Effect, model: Model, theta: Mapping[str, float] | None = None, values: Mapping[str, float] | None = None
 ) -> FittedEffect:
-    """An effect to be added: non-linear parameters at their start or as given, coefficients zero or as given.
+    """A new effect: non-linear parameters at their start or as given, coefficients zero or as given.
 
     Raises:
-        ModelError: it does not fit the machine, or a number is none of its own.
+        ModelError: it does not fit the machine, or has no number of this name.
     """
     check_effect(effect, model.machine, "add")
     linear, free = names_of(effect, model.machine)
@@ -209,15 +209,15 @@ def add(
     stage: Stage | None = None,
     given: Clean | None = None,
 ) -> Added:
-    """Add effects and refit everything on the channels as the loop sees them.
+    """Add effects and refit everything, on the channels that the loop has.
 
     Args:
         model: the current model.
-        new: effects to add, from `new_effect`; none to only refit.
+        new: effects to add, from `new_effect`; empty for a mere refit.
         measurements: of its machine.
         margin: how far valid ranges reach beyond the readings.
-        stage: told how far it is.
-        given: the measurements, read already; the caller has looked whether the record is in doubt.
+        stage: progress callback: called with the stage, steps done, steps in total.
+        given: the measurements, already read; the caller has checked the record for doubts.
 
     Raises:
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
@@ -244,7 +244,7 @@ def _add(
     wrong = in_doubt(Judgement(model, there)) if given is None else ()
     if all(d.kind == "wrong_scale" for d in wrong):
         check_scales(readings, predicted(model.effects, readings))
-    # Readings that the model was fitted to before say nothing new of how sure its numbers are.
+    # Readings of an earlier fit give no new information about the standard errors of the model's numbers.
     again = any(m.fingerprint in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None
     before = joint_fit(model.effects, readings, loose=loose)
@@ -266,14 +266,14 @@ def _add(
 
 
 def in_doubt(judged: Judgement) -> tuple[Doubt, ...]:
-    """Why no number of a model should follow a record; empty where nothing is wrong with it."""
+    """Reasons why no number of a model should be fitted to a record; empty where there are none."""
     return tuple(d for d in doubts(judged) if d.blames_no_effect)
 
 
 NEAR = 0.02
-"""Periods and time constants that differ by less than this share are one."""
+"""Periods and time constants within this relative difference are one."""
 TAKEN_UP = 1e-3
-"""A column of which the model's own leave less than this share of its norm is confounded with them."""
+"""A column is confounded with the model's own where they leave less than this share of its norm."""
 
 
 def _near(one: float, other: float) -> bool:
@@ -290,7 +290,7 @@ def _taken_up(columns: Floats, before: Joint) -> bool:
 
 
 def no_worse(model: Model, refitted: Joint) -> Joint:
-    """A refit that leaves no more of the readings than the model as it stands: else the ordinary fit, else none."""
+    """The refit where its residual is no larger than the model's as it is; else the ordinary fit; else no refit."""
     readings = refitted.weights.readings
     stands = readings.values - predicted(model.effects, readings)
     bound = (1.0 + ROUNDING) * residual_size(model.effects, readings)
@@ -300,12 +300,12 @@ def no_worse(model: Model, refitted: Joint) -> Joint:
 
 
 def residual_size(effects: Sequence[FittedEffect], readings: Readings) -> float:
-    """What effects leave of the readings as they stand, relative to the readings; the measure of `improve`."""
+    """Residual of effects in the readings' own units, relative to the readings; the measure of `improve`."""
     return _size(readings, readings.values - predicted(effects, readings))
 
 
 def _size(readings: Readings, left: Floats) -> float:
-    """Root mean square of residuals, (m,), each series over the spread of the readings of equal instruments."""
+    """Root mean square of residuals, (m,), each series relative to the spread of the readings of equal instruments."""
     spread = spreads(readings, floor.cleaned(readings, readings.values))
     return floor.pooled(
         readings, floor.rms_by_series(readings, floor.cleaned(readings, left)), 1.0 / np.maximum(spread, 1e-12)
@@ -313,14 +313,14 @@ def _size(readings: Readings, left: Floats) -> float:
 
 
 def _moves(readings: Readings, column: Floats) -> bool:
-    """Whether more of a column, (m,), than rounding is left once the instruments' own unknowns are taken out."""
+    """Whether a column, (m,), is larger than rounding once the instruments' own unknowns are removed."""
     return bool(np.abs(floor.cleaned(readings, column)).max() > ROUNDING * np.abs(column).max())
 
 
 def _with_new(
     model: Model, new: Sequence[FittedEffect], before: Joint, readings: Readings, loose: float | None
 ) -> tuple[Joint, tuple[str, ...]]:
-    """Refit with what is new; also what its search is to be told of, in words."""
+    """Refit with the new effects; also notes on the search of their parameters, in words."""
     found: list[FittedEffect] = []
     words: list[str] = []
     for fitted in new:
@@ -347,7 +347,7 @@ def _judged(
     after: Joint,
     margin: Margin,
 ) -> Added:
-    """What the model left before and leaves after, and the model with its history."""
+    """Residual before and after, and the model with its history."""
     effects = after.effects
     grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
     now = Judgement(grown, given)
@@ -374,7 +374,7 @@ def _judged(
 
 
 def refused(added: Added) -> str:
-    """Why an addition is not worth its place, in words."""
+    """Why an addition does not improve the model enough, in words."""
     if added.doubts:
         return f"the record is in doubt: {' '.join(added.doubts)}".rstrip(".")
     if added.undetermined:
@@ -389,7 +389,7 @@ def refused(added: Added) -> str:
 
 
 def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:
-    """What effects say, (m,)."""
+    """Prediction of effects, (m,)."""
     out = np.zeros(len(readings))
     for f in effects:
         columns = readings.columns(f.effect, f.theta)
@@ -398,7 +398,7 @@ def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:
 
 
 def is_there(model: Model, fitted: FittedEffect) -> bool:
-    """Whether a model has an effect already; a wave may be there twice, with another period, and a delay likewise."""
+    """Whether a model already has an effect; a wave with another period is a different one, and a delay likewise."""
     same = [f for f in model.effects if f.effect == fitted.effect]
     return any(not f.theta or all(_near(f.theta[n], fitted.theta[n]) for n in f.theta) for f in same)
 
@@ -421,10 +421,10 @@ def _with_smooth(joint: Joint, scale: Floats) -> float:
 def asked_effect(name: str, component: str | None, given: Mapping[str, Any], model: Model) -> FittedEffect:
     """Build an effect from its name, a component and what else it needs.
 
-    An axis that is not named is the component's own. Numbers (coefficients, time constants) may be given as a start.
+    An axis that is not given is the component's own. Coefficients and time constants may be given as a start.
 
     Raises:
-        ModelError: what is missing or wrong, with what is allowed.
+        ModelError: an argument is missing or wrong; the message lists what is allowed.
     """
     name = name.lower() if name.lower() in all_effects() else name
     where = f"effect {name!r}"
@@ -443,7 +443,7 @@ def asked_effect(name: str, component: str | None, given: Mapping[str, Any], mod
 
 
 def check_one(name: str | None, expr: str | None, refit: bool) -> None:
-    """Check that one thing was asked for: a name, an expression, or a refit.
+    """Check that one thing was requested: a name, an expression, or a refit.
 
     Raises:
         ModelError: more than one; a file in the place of the name belongs to `--data A B C`.
@@ -474,7 +474,7 @@ def _pair(text: str, where: str) -> tuple[str, Any]:
 
 
 def _needed(kind: type[Effect], arguments: dict[str, Any], model: Model, where: str) -> None:
-    """Name what is missing together with what the machine has to offer."""
+    """Raise an error that names the missing arguments and what the machine has to offer."""
     machine = model.machine
     offers = {"sensor": machine.sensor_names, "front": machine.sensor_names, "back": machine.sensor_names}
     offers["axis"] = machine.axis_names

@@ -1,9 +1,9 @@
-"""What no effect describes, as an expression that can be typed: a hump, a step, a polynomial or a wave, and where.
+"""An error without a name as an expression for `--expr`: a hump, a step, a polynomial or a wave, and where.
 
-Simple forms over the variables of the best shape without a name are weighed for each component error that the readings
-see, as the effects of the catalogue are; the best by its evidence is proposed for `rtec add --expr`.
+Simple forms over the variables of the best shape without a name are weighed for each component error that the
+readings see, as the effects of the catalogue are. The one with the best evidence is proposed for `rtec add --expr`.
 
-Forms of an expression for what has no name: polynomials, a hump, a step, a wave; over one variable or two.
+Forms are polynomials, a hump, a step and a wave, over one variable or two.
 """
 
 import itertools
@@ -33,22 +33,22 @@ DEGREES = (1, 2, 3, 4)
 LETTERS = "ABCDEFGH"
 CENTRES, WIDTHS = 24, 7
 NARROWEST, WIDEST = 0.02, 0.5
-"""Of the span: widths of humps and steps that are tried."""
+"""Widths of humps and steps in the grid, as shares of the span."""
 SAMPLED, TURNS, PERIODS = 2.1, 1.5, 60
-"""Shortest period over the step from place to place; fewest turns of a wave over the span; periods tried."""
+"""Shortest period over the step between targets; fewest turns of a wave over the span; periods in the grid."""
 AROUND = 4.0
-"""A width is proposed with bounds so many times as small and large."""
+"""The proposed bounds of a width are this factor below and above it."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """A variable as an expression reads it.
+    """A variable as an expression uses it.
 
     Attributes:
         name: of the channel.
-        low, high: of the readings; of a temperature above the reference.
-        step: from one place to the next.
-        zero: of a temperature, the reference; what is added for people.
+        low, high: of the readings; of a temperature, above the reference.
+        step: between neighbouring values.
+        zero: of a temperature, the reference; it is added in texts for people.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Span:
 
 @dataclass(frozen=True)
 class ExpressionSearch:
-    """A non-linear parameter: where it may lie, and what is tried; `ratio` where steps are ratios."""
+    """A non-linear parameter: its range and its grid; `ratio` where steps are ratios."""
 
     name: str
     low: float
@@ -80,7 +80,7 @@ class ExpressionSearch:
 
     @property
     def start(self) -> float:
-        """The middle of what is tried."""
+        """The middle of the grid."""
         return self.grid[len(self.grid) // 2]
 
     def between(self, value: float) -> float:
@@ -90,7 +90,7 @@ class ExpressionSearch:
         return value * (self.grid[1] / self.grid[0] - 1.0) if self.ratio else self.grid[1] - self.grid[0]
 
     def text(self, value: float) -> str:
-        """As `--param` takes it, about a value."""
+        """The parameter, with this start, as `--param` takes it."""
         low, high = (max(self.low, value / AROUND), min(self.high, value * AROUND)) if self.ratio else (
             self.low, self.high)  # fmt: skip
         return f"{self.name}={_short(value)}:{_short(min(low, value))}..{_short(max(high, value))}"
@@ -98,7 +98,7 @@ class ExpressionSearch:
 
 @dataclass(frozen=True)
 class Form:
-    """An expression with what is searched for; `along` is the variable that the words are of; a wave may grow."""
+    """An expression with its non-linear parameters; the words describe variable `along`; a wave may grow."""
 
     kind: Literal["polynomial", "hump", "step", "wave"]
     expression: str
@@ -140,7 +140,7 @@ def _of_one(span: Span) -> Iterator[Form]:
 
 
 def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
-    """Forms along one variable whose height goes with the other."""
+    """Forms along one variable whose height is proportional to the other."""
     u = spans[along].scaled
     powers = [factor, *(f"{factor}*{u}" if k == 1 else f"{factor}*{u}**{k}" for k in DEGREES[:3])]
     for count in range(2, len(powers) + 1):
@@ -163,11 +163,11 @@ def _local(span: Span) -> Iterator[tuple[Literal["hump", "step"], str, tuple[Exp
 
 
 def _waves(spans: Sequence[Span], period: float | None) -> Iterator[Form]:
-    """An even wave, and those that grow with a variable, their own place too."""
+    """An even wave, and waves whose height grows with a variable or along their own axis."""
     first = spans[0]
     wide = first.high - first.low
     if period is not None:
-        # Farther off than this, the wave is out of step at the ends.
+        # At a larger deviation the wave would be out of phase at the ends.
         off = 0.5 * period / max(wide, period)
         searched = ExpressionSearch("period", period * (1.0 - off), period * (1.0 + off), (period,))
     else:
@@ -195,20 +195,20 @@ Floats = NDArray[np.float64]
 LEADING = 2
 """Component errors for which forms are weighed."""
 ALIKE = 1e-6
-"""Forms whose evidence differs by less are one."""
+"""Forms whose evidence differs by less are equally likely."""
 HALVINGS = 4
 FWHM = 2.0 * math.sqrt(math.log(2.0))
-"""Width of exp(-(x/w)²) at half its height over w."""
+"""Width of exp(-(x/w)²) at half its height, over w."""
 
 
 @dataclass(frozen=True)
 class Typed:
-    """A proposal.
+    """A proposed expression.
 
     Attributes:
         expression, parameters, component: as `--expr`, `--param` and `--component` take them.
-        where: in words; empty where there is nothing to say.
-        effect, theta: the same as an effect, and its non-linear parameters as far as a grid finds them.
+        where: in words; empty where there is nothing to report.
+        effect, theta: the same as an effect, and its non-linear parameters to the precision of a grid.
     """
 
     expression: str
@@ -229,7 +229,7 @@ class _Tried:
 
 
 def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
-    """The best simple form for a shape without a name; None where none of them is likelier than nothing.
+    """The best simple form for a shape without a name; None where no form is likelier than nothing.
 
     Args:
         readings: the readings.
@@ -253,7 +253,7 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
     top = max((t.evidence for t in tried), default=0.0)
     if top <= 0.0:
         return None
-    # A term that the model has already adds nothing: the form without it comes first.
+    # A term that the model already has adds nothing: the form without it comes first.
     best = next(t for t in tried if t.evidence > top - ALIKE)
     best = _refined(few, projected, best)
     parameters = tuple(p.text(best.theta[p.name]) for p in best.form.searched)
@@ -263,7 +263,7 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
 
 
 def _spans(readings: Readings, shaped: Shaped) -> list[Span] | None:
-    """The variables as an expression reads them; None where it cannot."""
+    """The variables as an expression uses them; None where it cannot."""
     machine, group = readings.machine, Ground(readings).groups[shaped.shape.group]
     out = []
     for name in shaped.shape.variables:
@@ -278,7 +278,7 @@ def _spans(readings: Readings, shaped: Shaped) -> list[Span] | None:
 
 
 def _components(readings: Readings, projected: Projected, shaped: Shaped) -> list[str]:
-    """Component errors through which the shape tells most of all readings, most first."""
+    """Component errors through which the shape explains most of the readings, best first."""
     ground = Ground(readings)
     free = sum(ground.columns(replace(shaped.shape, group=g)) for g in ground.groups)
     mine = {m.instrument.component for m in readings.measurements}
@@ -286,7 +286,7 @@ def _components(readings: Readings, projected: Projected, shaped: Shaped) -> lis
     for seen in visible(readings):
         found = weigh(projected, readings.arms(seen.name)[:, None] * np.asarray(free))
         if found is not None:
-            # Of those that the readings cannot tell apart: what the instrument is there for, then the most direct.
+            # Of those that the readings cannot separate: first what the instrument measures, then the most direct.
             steps = STEPS.get(component_kind(seen.name, readings.machine), len(STEPS))
             scored.append((-round(found[2], 2), seen.name not in mine, not seen.moves, steps, seen.name))
     return [name for *_, name in sorted(scored)[:LEADING]]
@@ -296,7 +296,7 @@ def _best(readings: Readings, projected: Projected, form: Form, component: str) 
     try:
         texts = [p.text(p.start) for p in form.searched]
         effect = expression_from_text(form.expression, texts, component, readings.machine)
-    except ModelError:  # a machine whose axes or sensors have the names of these parameters
+    except ModelError:  # an axis or sensor has the name of a parameter
         return None
     grids = itertools.product(*(p.grid for p in form.searched))
     thetas = (dict(zip((p.name for p in form.searched), map(float, values), strict=True)) for values in grids)
@@ -312,7 +312,7 @@ def _tried(
 
 
 def _refined(readings: Readings, projected: Projected, best: _Tried) -> _Tried:
-    """The parameters between those of the grid, by steps that halve."""
+    """The parameters refined between grid points, by steps that halve."""
     for step in (0.5**k for k in range(1, HALVINGS + 1)):
         for theta in _about(best, step):
             other = _tried(readings, projected, best.form, best.component, best.effect, theta)
@@ -330,7 +330,7 @@ def _about(best: _Tried, step: float) -> Iterator[dict[str, float]]:
 
 
 def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Tried, spans: Sequence[Span]) -> str:
-    """Where it is, in words."""
+    """Place of the proposed form, in words."""
     first, unit = spans[best.form.along], spoken(unit_of_channel(spans[best.form.along].name))
     name, theta = named(first.name), best.theta
     columns = readings.columns(best.effect, theta)
