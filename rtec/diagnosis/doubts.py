@@ -114,8 +114,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     measured, predicted = (floor.cleaned(readings, v) for v in (readings.values, judged.base.predicted))
     edited = _edited_records(judged)
     found = [
-        Doubt("wrong_scale", said, "Correct the file first.", fatal=True)
-        for said in odd_scales(readings, measured, predicted)
+        Doubt("wrong_scale", fault, "Correct the file first.", fatal=True)
+        for fault in odd_scales(readings, measured, predicted)
     ]
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and so is the prediction
@@ -143,10 +143,10 @@ def _disagree(judged: Judgement) -> list[Doubt]:
     if not steps or not model.measurements:
         return []
     unit, fitted = "µrad" if judged.unit == "urad" else "µm", float(steps[-1]["error"])
-    said = floor.rms_by_series(readings, judged.base.predicted)
+    predicted_rms = floor.rms_by_series(readings, judged.base.predicted)
     out = []
     for i, m in enumerate(readings.measurements):
-        mine = [k for k, s in enumerate(readings.series) if s.source == i and said[k] > 0.0]
+        mine = [k for k, s in enumerate(readings.series) if s.source == i and predicted_rms[k] > 0.0]
         inside = _in_range(model, readings.states[i])
         if m.fingerprint in model.measurements.values() or not mine or float(inside.mean()) < INSIDE:
             continue
@@ -193,10 +193,10 @@ def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[D
     """
     out = []
     for s, noise in zip(judged.readings.series, judged.floors, strict=True):
-        read, said = (float(np.sqrt(np.mean(v[s.part] ** 2))) for v in (measured, predicted))
-        if _moves(judged.readings, s) and read < FLAT * noise.value and said > MUCH * max(noise.value, read):
+        read, modelled = (float(np.sqrt(np.mean(v[s.part] ** 2))) for v in (measured, predicted))
+        if _moves(judged.readings, s) and read < FLAT * noise.value and modelled > MUCH * max(noise.value, read):
             message = (
-                f"{_name(judged.readings, s)} is flat ({read:.2g} µm) where the model says {said:.2g} µm: was the "
+                f"{_name(judged.readings, s)} is flat ({read:.2g} µm) where the model says {modelled:.2g} µm: was the "
                 "correction on while it was measured?"
             )
             step = "Put the inserted corrections back into the readings, or measure with the correction held at zero."
@@ -211,7 +211,7 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
         return None
     few = judged.readings.without(~looked_at(judged.readings))
     edits = _Edits(judged.model, few, judged.scale)
-    found = min(edits.tried(), key=lambda e: e.residual, default=None)
+    found = min(edits.possible(), key=lambda e: e.residual, default=None)
     if found is None:
         return None
     near = NEAR_FLOOR * _whole_noise(judged)
@@ -225,9 +225,9 @@ def _left_by_scale(judged: Judgement, measured: Floats, predicted: Floats) -> fl
     """Least residual of the model if the readings were in another unit, in the unit that they have."""
     by_series = []
     for s in judged.readings.series:
-        mine, said = measured[s.part], predicted[s.part]
-        factor = float(mine @ said) / max(float(said @ said), 1e-300)
-        by_series.append(float(np.sqrt(np.mean((mine - factor * said) ** 2))))
+        mine, modelled = measured[s.part], predicted[s.part]
+        factor = float(mine @ modelled) / max(float(modelled @ modelled), 1e-300)
+        by_series.append(float(np.sqrt(np.mean((mine - factor * modelled) ** 2))))
     return floor.pooled(judged.readings, np.array(by_series), judged.scale)
 
 
@@ -271,7 +271,7 @@ class _Edits:
         keep = np.arange(len(self.readings)) % max(len(self.readings) // THIN, 1) == 0
         return self if keep.all() else _Edits(self.model, self.readings.without(~keep), self.scale)
 
-    def tried(self) -> list[_Edit]:
+    def possible(self) -> list[_Edit]:
         """Every edit that is possible here."""
         return [*self._factors(), *self._exchanged(), *self._moved()]
 

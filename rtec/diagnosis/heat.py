@@ -13,7 +13,7 @@ from rtec.effects import Effect
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
 from rtec.estimation.gls import Fit, without_runs
-from rtec.estimation.noise import Whitener, found_on_stretches, minutes
+from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
 from rtec.wording import number
 
@@ -42,7 +42,7 @@ MUCH_WARMER = 5.0
 UNITS = {"um": "µm", "urad": "µrad"}
 
 
-def stands_for(readings: Readings, effect: Effect) -> Doubt | None:
+def substitute_sensor(readings: Readings, effect: Effect) -> Doubt | None:
     """Doubt where a sensor represents a body without a sensor; None where the body has one, or the effect has none.
 
     Args:
@@ -75,11 +75,11 @@ def lag_assumed(readings: Readings, effect: Effect, theta: Mapping[str, float]) 
     if "tau" not in theta or not names:
         return ()
     pause = max(float(np.diff(s.time_s).max(initial=0.0)) for s in readings.series)
-    said = f"{effect.effect} lags by {minutes(theta['tau'])}: {' and '.join(names)} counted as settled before the first"
-    said += " reading"
+    text = f"{effect.effect} lags by {minutes(theta['tau'])}: {' and '.join(names)} counted as settled before the first"
+    text += " reading"
     if pause > max(PAUSE_S, LONG_PAUSE * theta["tau"]):
-        said += f", and as a straight line over pauses (up to {minutes(pause)}), of which the record says nothing"
-    return (said,)
+        text += f", and as a straight line over pauses (up to {minutes(pause)}), of which the record says nothing"
+    return (text,)
 
 
 def warm_up_curves(readings: Readings, effect: Effect, part: Floats) -> Sequence[Floats]:
@@ -181,7 +181,7 @@ def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None)
     if slow <= (named_um or 0.0):
         return None
     if named_um is not None:
-        noise = found_on_stretches(readings, lambda few, keep: flexible_columns(few, fit.columns[keep], warm=False))
+        noise = noise_on_stretches(readings, lambda few, keep: flexible_columns(few, fit.columns[keep], warm=False))
         slow, memory, s = max((_slow(fit, noise, i) for i in range(len(readings.series))), key=lambda f: f[0])
         if slow <= named_um:
             return None

@@ -324,11 +324,11 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
     given = [g.effect.model_dump(mode="json", exclude_none=True) for g in same]
     mine = f.effect.model_dump(mode="json", exclude_none=True)
     keys = [k for k in dict.fromkeys(k for g in given for k in g) if any(g.get(k) != mine.get(k) for g in given)]
-    said = [_argument(k, mine.get(k)) for k in keys]
-    if not said:
+    parts = [_argument(k, mine.get(k)) for k in keys]
+    if not parts:
         ends = [n for n in f.theta if any(g.theta.get(n) != f.theta[n] for g in same)]
-        said = [f"{n} {significant(f.theta[n])}" for n in ends]
-    return f"{f.label}, {', '.join(said)}" if said else f"{f.label} #{1 + same.index(f)}"
+        parts = [f"{n} {significant(f.theta[n])}" for n in ends]
+    return f"{f.label}, {', '.join(parts)}" if parts else f"{f.label} #{1 + same.index(f)}"
 
 
 def _argument(key: str, value: object) -> str:

@@ -38,9 +38,9 @@ def odd_scales(readings: Readings, measured: Floats, predicted: Floats) -> tuple
     """
     out = []
     for s in readings.series:
-        said = _factor(measured[s.part], predicted[s.part])
-        if said:
-            out.append(f"{readings.measurements[s.source].name} {s.column}: what is measured {said}")
+        fault = _factor(measured[s.part], predicted[s.part])
+        if fault:
+            out.append(f"{readings.measurements[s.source].name} {s.column}: what is measured {fault}")
     return tuple(out)
 
 
@@ -49,7 +49,7 @@ def _factor(measured: Floats, predicted: Floats) -> str:
     if not own * other > 0.0 or cross * cross < ALIKE * own * other:
         return ""
     factor = cross / own
-    return next((said for f, said in FACTORS.items() if abs(factor / f - 1.0) < NEAR), "")
+    return next((words for f, words in FACTORS.items() if abs(factor / f - 1.0) < NEAR), "")
 
 
 def check_scales(readings: Readings, predicted: Floats) -> None:
@@ -65,4 +65,4 @@ def check_scales(readings: Readings, predicted: Floats) -> None:
     odd = odd_scales(readings, floor.cleaned(readings, readings.values), floor.cleaned(readings, predicted))
     if odd:
         way = "correct it in the file; if the model was wrong, refit it with `rtec fit`"
-        raise MeasurementError("\n".join(f"{said} Nothing was fitted: {way}" for said in odd))
+        raise MeasurementError("\n".join(f"{fault} Nothing was fitted: {way}" for fault in odd))

@@ -95,11 +95,11 @@ def contradiction(judged: Judgement) -> Contradiction | None:
     turned, apart = [p for p in pairs if p.turned], [p for p in pairs if p.apart]
     met = {s.source for s in series} - {s.source for k, s in enumerate(series) if not _met(judged, k)}
     if turned:
-        return _told(readings, turned, pairs, met, "readings go the other way")
+        return _described(readings, turned, pairs, met, "readings go the other way")
     if apart:
         unit = "µrad" if apart[0].unit == "urad" else "µm"
         worst = max(p.off for p in apart)
-        return _told(
+        return _described(
             readings, apart, pairs, met, f"readings differ by {worst:.2g} {unit}, and no recorded channel does"
         )
     return None
@@ -198,7 +198,7 @@ def _compared(judged: Judgement, two: tuple[int, int], means: Sequence[_Means]) 
     return _Pair(sources, series[0].unit, off, measured_off, turned, apart)
 
 
-def _told(
+def _described(
     readings: Readings, pairs: Sequence[_Pair], compared: Sequence[_Pair], met: set[int], how: str
 ) -> Contradiction:
     """Message about files that contradict each other; with the odd ones, where they are known."""

@@ -92,8 +92,8 @@ def end_targets(readings: Readings) -> list[EndTargets]:
 
 def _message(readings: Readings, s: Series, axis: Axis, places: Floats, off: Floats) -> str:
     unit = "µm" if s.unit == "um" else "µrad"
-    said = [f"{p:.4g} mm ({significant(o, 2, sign=True)} {unit})" for p, o in zip(places, off, strict=True)]
-    ends = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
+    listed = [f"{p:.4g} mm ({significant(o, 2, sign=True)} {unit})" for p, o in zip(places, off, strict=True)]
+    ends = listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}"
     return (
         f"{readings.measurements[s.source].name} {s.column}: at the end of {axis.name} the readings at {ends} are off "
         "the curve of the targets between, in most runs; so few targets decide no law, and none is fitted to them"

@@ -24,7 +24,7 @@ READINGS_PER_PLACE, READINGS_PER_COLUMN, STATES_PER_COLUMN = 4, 8, 3
 def flexible_columns(readings: Readings, base: Floats, warm: bool = True) -> Floats:
     """Columns of the model and the set-up, (m, q), and those that follow any smooth function of the channels, (m, p).
 
-    The columns of a series are zero outside it, so different series share columns.
+    Each series has its own coefficients, so all series share the columns of the array.
 
     Args:
         readings: the readings.
@@ -118,7 +118,7 @@ def _hats(value: Floats, knots: int, few: int = FEW_VALUES) -> Floats:
     return np.asarray(np.clip(1.0 - np.abs(place[:, None] - np.arange(knots)[None, :]), 0.0, None))
 
 
-def less(readings: Readings, columns: Floats, values: Floats) -> Floats:
+def unexplained(readings: Readings, columns: Floats, values: Floats) -> Floats:
     """Residual of values after a least-squares fit of the columns, series by series, (m,).
 
     Args:

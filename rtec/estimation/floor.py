@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.flexible import NEAR_DEGC, flexible_columns
 from rtec.estimation.gls import solve, without_nuisance
-from rtec.estimation.noise import Noise, Whitener, found_on_stretches
+from rtec.estimation.noise import Noise, Whitener, noise_on_stretches
 from rtec.estimation.readings import Readings, Series, row_codes
 from rtec.estimation.whitening import drift_draws
 from rtec.jit import njit
@@ -241,7 +241,7 @@ def flexible_noise(readings: Readings, columns: Floats) -> Whitener:
         readings: the readings.
         columns: of the model and the set-up, (m, p).
     """
-    return found_on_stretches(readings, lambda few, keep: flexible_columns(few, columns[keep]))
+    return noise_on_stretches(readings, lambda few, keep: flexible_columns(few, columns[keep]))
 
 
 def noise_floors(readings: Readings, left: Floats, flexible: Whitener) -> list[Floor]:

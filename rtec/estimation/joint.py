@@ -66,7 +66,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Numbers:
     """Numbers fitted under some weights."""
 
     weights: Whitener | Plain
@@ -131,7 +131,7 @@ def joint_fit(
     return replace(by_weight if as_good(*judged) else ordinary, disputed=words, plain=ordinary)
 
 
-def _joint(effects: Sequence[FittedEffect], readings: Readings, found: _Found) -> Joint:
+def _joint(effects: Sequence[FittedEffect], readings: Readings, found: _Numbers) -> Joint:
     numbers, loose = _numbers(effects, readings, found)
     left = found.left(readings)
     return Joint(numbers, found.noise, found.columns, left, found.weights, undetermined=loose)
@@ -166,7 +166,7 @@ def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[
 
 def _weighed(
     work: _Work, free: Sequence[tuple[int, Parameter]], loose: float | None, least: tuple[float, ...]
-) -> _Found:
+) -> _Numbers:
     """Generalised least squares, with the noise estimated in the same fit."""
     readings, effects = work.readings, work.start
     thetas = [dict(f.theta) for f in effects]
@@ -180,10 +180,10 @@ def _weighed(
         values = _values(effects, readings, whitener, columns, loose)
         whitener = refine(whitener, readings.values - columns @ values, 30)
     values = _values(effects, readings, whitener, columns, loose)
-    return _Found(whitener, whitener, thetas, columns, values, loose)
+    return _Numbers(whitener, whitener, thetas, columns, values, loose)
 
 
-def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Found) -> _Found:
+def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Numbers) -> _Numbers:
     """Ordinary robust least squares."""
     readings, effects = work.readings, work.start
     thetas = [dict(f.theta) for f in effects]
@@ -196,7 +196,7 @@ def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Foun
             plain, values = plain_fit(readings, weighed.noise, columns)
     plain = plain.refined(readings.values - columns @ values, columns)
     values = _values(effects, readings, plain, columns, weighed.loose)
-    return _Found(plain, plain.noise, thetas, columns, values, weighed.loose)
+    return _Numbers(plain, plain.noise, thetas, columns, values, weighed.loose)
 
 
 def _columns(effect: Effect, theta: Mapping[str, float], readings: Readings) -> Floats:
@@ -288,7 +288,7 @@ def _values(
 
 
 def _numbers(
-    effects: Sequence[FittedEffect], readings: Readings, found: _Found
+    effects: Sequence[FittedEffect], readings: Readings, found: _Numbers
 ) -> tuple[tuple[FittedEffect, ...], tuple[int, ...]]:
     """Effects with their refitted numbers and standard errors; and those of which only the sum is determined."""
     machine, at = readings.machine, 0
@@ -321,7 +321,7 @@ def _numbers(
     return tuple(out), _undetermined(readings, found, whole[:, terms], known[np.ix_(terms, terms)], of)
 
 
-def _undetermined(readings: Readings, found: _Found, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:
+def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:
     """Effects of which only the sum with others is determined.
 
     Args:

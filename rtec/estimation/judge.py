@@ -12,7 +12,7 @@ from rtec.estimation import floor
 from rtec.estimation.columns import Base, base_of
 from rtec.estimation.floor import Floor, Unit
 from rtec.estimation.gls import HeldOut, held_out
-from rtec.estimation.noise import Whitener, found_on_stretches
+from rtec.estimation.noise import Whitener, noise_on_stretches
 from rtec.estimation.outliers import Clean
 from rtec.estimation.plain import Plain, as_good, plain_fit
 from rtec.estimation.readings import Readings
@@ -126,7 +126,7 @@ class Judgement:
     @cached_property
     def noise(self) -> Whitener:
         """Noise fitted together with the model's own columns."""
-        return found_on_stretches(self.readings, lambda _, keep: self.base.columns[keep])
+        return noise_on_stretches(self.readings, lambda _, keep: self.base.columns[keep])
 
     @property
     def _weights(self) -> tuple[Whitener, Plain]:

@@ -62,12 +62,12 @@ class Noise:
         """In words."""
         u = "µm" if unit == "um" else "µrad"
         drift, offset = self.sigma * math.sqrt(self.drift), self.sigma * math.sqrt(self.offset)
-        said = f"{name}: white noise {significant(self.sigma, 2)} {u}"
+        text = f"{name}: white noise {significant(self.sigma, 2)} {u}"
         if drift > 0.2 * self.sigma:
-            said += f", drift {significant(drift, 2)} {u} with a memory of {minutes(self.tau_s)}"
+            text += f", drift {significant(drift, 2)} {u} with a memory of {minutes(self.tau_s)}"
         if offset > 0.2 * self.sigma:
-            said += f", offset from run to run {significant(offset, 2)} {u}"
-        return said
+            text += f", offset from run to run {significant(offset, 2)} {u}"
+        return text
 
 
 def minutes(seconds: float) -> str:
@@ -95,12 +95,21 @@ class Filter:
         return out
 
 
-def make_filter(series: Series, wide: Floats, noise: Noise) -> Filter:
+def make_filter(series: Series, run_variance: Floats, noise: Noise) -> Filter:
     """The filter of a series under a noise."""
     n, k = series.nuisance.shape
     decay, gain, scale = np.empty(n), np.empty((n, 2 + k)), np.empty(n)
     log_det = gains(
-        series.time_s, series.run, series.nuisance, noise.drift, noise.tau_s, noise.offset, wide, decay, gain, scale
+        series.time_s,
+        series.run,
+        series.nuisance,
+        noise.drift,
+        noise.tau_s,
+        noise.offset,
+        run_variance,
+        decay,
+        gain,
+        scale,
     )
     return Filter(series, noise.sigma, decay, gain, scale, log_det)
 
@@ -112,20 +121,20 @@ class Whitener:
     Attributes:
         readings: the readings.
         noises: of each series.
-        wides: variances of the unknowns of each run over that of the white noise, for each series.
+        run_variances: variances of the unknowns of each run over that of the white noise, for each series.
         least: smallest white noise of each series, in its unit; empty for none.
     """
 
     readings: Readings
     noises: tuple[Noise, ...]
-    wides: tuple[Floats, ...]
+    run_variances: tuple[Floats, ...]
     least: tuple[float, ...] = ()
 
     @cached_property
     def filters(self) -> tuple[Filter, ...]:
         """One for each series."""
         return tuple(
-            make_filter(s, w, n) for s, w, n in zip(self.readings.series, self.wides, self.noises, strict=True)
+            make_filter(s, w, n) for s, w, n in zip(self.readings.series, self.run_variances, self.noises, strict=True)
         )
 
     @cached_property
@@ -154,8 +163,8 @@ class Whitener:
 
     def with_noises(self, noises: Sequence[Noise]) -> "Whitener":
         """The same readings under other noises."""
-        least = self.least or (0.0,) * len(self.wides)
-        return Whitener(self.readings, tuple(map(_at_least, noises, least)), self.wides, self.least)
+        least = self.least or (0.0,) * len(self.run_variances)
+        return Whitener(self.readings, tuple(map(_at_least, noises, least)), self.run_variances, self.least)
 
     @property
     def floor(self) -> Floats:
@@ -185,13 +194,13 @@ def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tupl
         steps: evaluations of the search, for each series.
         least: smallest white noise of each series; empty for none.
     """
-    noises, wides = [], []
+    noises, run_variances = [], []
     for s in readings.series:
         y = readings.values[s.part]
-        wide = _wide(s, y)
-        wides.append(wide)
-        noises.append(_reml(s, wide, _orthonormal(base[s.part]), y, steps))
-    return Whitener(readings, (), tuple(wides), least).with_noises(noises)
+        run_variance = _run_variance(s, y)
+        run_variances.append(run_variance)
+        noises.append(_reml(s, run_variance, _orthonormal(base[s.part]), y, steps))
+    return Whitener(readings, (), tuple(run_variances), least).with_noises(noises)
 
 
 CALM = 0.1
@@ -211,8 +220,8 @@ def without_drift(whitener: Whitener) -> Whitener:
 def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
     """Re-estimate the noises from the residual of a fit, (m,), starting at the current ones."""
     noises = []
-    for s, wide, now in zip(whitener.readings.series, whitener.wides, whitener.noises, strict=True):
-        noises.append(_of_residual(s, wide, left[s.part], now, steps))
+    for s, run_variance, now in zip(whitener.readings.series, whitener.run_variances, whitener.noises, strict=True):
+        noises.append(_of_residual(s, run_variance, left[s.part], now, steps))
     return whitener.with_noises(noises)
 
 
@@ -222,7 +231,7 @@ def log_likelihood(whitener: Whitener, white: Floats) -> float:
     return -0.5 * (whitener.log_det + float(white @ white)) + priors
 
 
-def _wide(series: Series, y: Floats) -> Floats:
+def _run_variance(series: Series, y: Floats) -> Floats:
     """Variances of the unknowns of each run, over that of the white noise, (k,)."""
     size = np.sqrt(np.mean(series.nuisance**2, axis=0)) if series.nuisance.shape[1] else np.zeros(0)
     spread = max(float(np.std(y)) / _roughness(series, y), 10.0)
@@ -254,14 +263,14 @@ def _has_zero(series: Series) -> bool:
 class _Mean:
     """−2 log restricted likelihood of a series whose mean is in the base, white variance profiled."""
 
-    def __init__(self, series: Series, wide: Floats, base: Floats, y: Floats) -> None:
-        self.series, self.wide = series, wide
+    def __init__(self, series: Series, run_variance: Floats, base: Floats, y: Floats) -> None:
+        self.series, self.run_variance = series, run_variance
         self.columns = np.concatenate([base, y[:, None]], axis=1)
         self.freedom = max(len(y) - base.shape[1] - series.nuisance.shape[1] * int(series.run[-1] + 1), 3)
 
     def __call__(self, noise: Noise) -> tuple[float, float]:
         """The value, and the white variance."""
-        f = make_filter(self.series, self.wide, noise)
+        f = make_filter(self.series, self.run_variance, noise)
         white = f.whiten(self.columns)
         gram = white.T @ white
         p = len(gram) - 1
@@ -288,7 +297,7 @@ def noise_bounds(series: Series) -> Floats:
     )
 
 
-def found_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[np.bool_]], Floats]) -> Whitener:
+def noise_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[np.bool_]], Floats]) -> Whitener:
     """Noise of readings, where long series are searched on stretches.
 
     Args:
@@ -302,8 +311,8 @@ def found_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[
             keep[s.start + _stretches(len(s))] = True
     few = readings if keep.all() else readings.without(~keep)
     noises = find_noise(few, columns(few, keep)).noises
-    wides = tuple(_wide(s, readings.values[s.part]) for s in readings.series)
-    return Whitener(readings, noises, wides)
+    run_variances = tuple(_run_variance(s, readings.values[s.part]) for s in readings.series)
+    return Whitener(readings, noises, run_variances)
 
 
 def _stretches(n: int) -> NDArray[np.int64]:
@@ -314,17 +323,23 @@ def _stretches(n: int) -> NDArray[np.int64]:
     return np.unique((first[:, None] + np.arange(STRETCH)).ravel())
 
 
-def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: int) -> Noise:
+def _of_residual(series: Series, run_variance: Floats, left: Floats, now: Noise, steps: int) -> Noise:
     """Noise of a series of residuals without a mean, searched from an approximate noise."""
     from rtec.estimation.whitening import likelihood, walk
 
     start = [math.log(now.drift), math.log(now.tau_s)] + ([math.log(now.offset)] if now.offset > 0.0 else [])
     freedom = float(max(len(left) - series.nuisance.shape[1] * int(series.run[-1] + 1), 3))
-    data = (series.time_s, series.run, series.nuisance, wide, np.ascontiguousarray(left))
+    data = (series.time_s, series.run, series.nuisance, run_variance, np.ascontiguousarray(left))
     few = _stretches(len(left))
     part, share = data, len(few) / len(left)
     if share < 1.0:
-        part = (series.time_s[few], series.run[few], np.ascontiguousarray(series.nuisance[few]), wide, data[4][few])
+        part = (
+            series.time_s[few],
+            series.run[few],
+            np.ascontiguousarray(series.nuisance[few]),
+            run_variance,
+            data[4][few],
+        )
     found = np.exp(walk(*part, freedom * share, np.array(start), noise_bounds(series), steps))
     offset = float(found[2]) if len(found) > 2 else 0.0
     _, square = likelihood(*data, float(found[0]), float(found[1]), offset)
@@ -339,12 +354,12 @@ def _prior(noise: Noise) -> float:
     return value
 
 
-def _reml(series: Series, wide: Floats, base: Floats, y: Floats, steps: int) -> Noise:
-    cost = _Mean(series, wide, base, y)
+def _reml(series: Series, run_variance: Floats, base: Floats, y: Floats, steps: int) -> Noise:
+    cost = _Mean(series, run_variance, base, y)
     span = max(float(series.time_s[-1] - series.time_s[0]), 1.0)
     offset = 0.0 if _has_zero(series) or series.run[-1] == 0 else 0.1
-    tried = [Noise(1.0, d, max(share * span, 1.0), offset) for d, share in START]
-    best = min(tried, key=lambda n: cost(n)[0] - 2.0 * _prior(n))
+    starts = [Noise(1.0, d, max(share * span, 1.0), offset) for d, share in START]
+    best = min(starts, key=lambda n: cost(n)[0] - 2.0 * _prior(n))
     return _search(cost, best, steps)
 
 

@@ -107,7 +107,7 @@ class Clean:
         """The same readings with temperatures smoothed in time."""
         return self.readings.smoothed()
 
-    def less(self, off: Floats, why: str) -> "Clean":
+    def rejecting(self, off: Floats, why: str) -> "Clean":
         """The same with further readings rejected.
 
         Args:
@@ -118,18 +118,18 @@ class Clean:
         if not wrong.any():
             return self
         kept[np.flatnonzero(kept)[wrong]] = False
-        told = (*self.wrong, *_told(self.readings, off, why))
-        return replace(self, readings=self.readings.without(wrong), wrong=told, kept=kept)
+        rejected = (*self.wrong, *_rejected(self.readings, off, why))
+        return replace(self, readings=self.readings.without(wrong), wrong=rejected, kept=kept)
 
     def without_ends(self) -> "Clean":
         """The same without the end targets that stand out, for fitting a law. Call it only once."""
         off = np.full(len(self.readings), np.nan)
         for found in self.ends:
             off = np.fmax(off, found.readings)
-        return self.less(off, "at an end that stands out")
+        return self.rejecting(off, "at an end that stands out")
 
 
-def _told(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
+def _rejected(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
     for s in readings.series:
         m = readings.measurements[s.source]
         for i in np.flatnonzero(np.isfinite(off[s.part])):
@@ -148,7 +148,7 @@ def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, lea
     """
     whole = read(measurements, reference_degc, smooth=False, leave_out_h=leave_out_h)
     every = Clean(whole, (), np.ones(len(whole), dtype=np.bool_))
-    given = every.less(wrong_readings(whole), "far from all neighbours")
+    given = every.rejecting(wrong_readings(whole), "far from all neighbours")
     return replace(given, ends=tuple(end_targets(given.readings)))
 
 

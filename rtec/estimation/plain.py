@@ -56,8 +56,8 @@ class Plain:
     def refined(self, left: Floats, columns: Floats) -> "Plain":
         """The same weights from the residual, (m,), of a fit of columns, (m, p)."""
         made = replace(weights(self.readings, refine(self.noise, left, STEPS), left), shrink=1.0)
-        wide = np.full(columns.shape[1], np.inf)
-        supposed, there = inverse(made(columns)), covariance(made, columns, wide)
+        no_prior = np.full(columns.shape[1], np.inf)
+        supposed, there = inverse(made(columns)), covariance(made, columns, no_prior)
         known = np.diag(supposed) > 0.0
         if not known.any():
             return made

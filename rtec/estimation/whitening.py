@@ -33,7 +33,7 @@ def gains(  # noqa: PLR0912
     drift: float,
     tau_s: float,
     offset: float,
-    wide: Floats,
+    run_variance: Floats,
     decay: Floats,
     gain: Floats,
     scale: Floats,
@@ -47,7 +47,7 @@ def gains(  # noqa: PLR0912
         drift: variance of the drift over that of the white noise.
         tau_s: its time constant.
         offset: variance of the runs' offsets over that of the white noise.
-        wide: variances of the unknowns, (k,).
+        run_variance: variances of the unknowns, (k,).
         decay: written: share of the drift that remains since the last reading, (n,).
         gain: written: gain of each state, (n, 2 + k).
         scale: written: one over the standard deviation of the innovation, (n,).
@@ -77,7 +77,7 @@ def gains(  # noqa: PLR0912
             p[0, 0] = drift_left
             p[1, 1] = offset
             for a in range(2, size):
-                p[a, a] = wide[a - 2]
+                p[a, a] = run_variance[a - 2]
         f = decay[i]
         for a in range(1, size):
             p[0, a] *= f
@@ -219,7 +219,7 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
     time_s: Floats,
     run: Ints,
     unknown: Floats,
-    wide: Floats,
+    run_variance: Floats,
     left: Floats,
     drift: float,
     tau_s: float,
@@ -228,7 +228,7 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
     """`log det Σ` and `yᵀ Σ⁻¹ y` of a series, white variance one: `gains` and `innovations` in one pass.
 
     Args:
-        time_s, run, unknown, wide: as in `kalman.gains`.
+        time_s, run, unknown, run_variance: as in `gains`.
         left: the series y, (n,).
         drift, tau_s, offset: the noise.
     """
@@ -251,7 +251,7 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
             p[0, 0] = kept
             p[1, 1] = offset
             for a in range(2, size):
-                p[a, a] = wide[a - 2]
+                p[a, a] = run_variance[a - 2]
             for a in range(1, size):
                 x[a] = 0.0
         for a in range(1, size):
@@ -312,12 +312,19 @@ def _of_two(time_s: Floats, run: Ints, left: Floats, drift: float, tau_s: float,
 
 @njit
 def noise_cost(
-    time_s: Floats, run: Ints, unknown: Floats, wide: Floats, left: Floats, freedom: float, x: Floats, bounds: Floats
+    time_s: Floats,
+    run: Ints,
+    unknown: Floats,
+    run_variance: Floats,
+    left: Floats,
+    freedom: float,
+    x: Floats,
+    bounds: Floats,
 ) -> float:
     """−2 log likelihood and priors at logarithms of drift, memory and offset, white variance profiled.
 
     Args:
-        time_s, run, unknown, wide, left: as in `likelihood`.
+        time_s, run, unknown, run_variance, left: as in `likelihood`.
         freedom: readings less unknowns.
         x: logarithms, (2,) or (3,); clipped to the bounds.
         bounds: lowest, highest, centre and spread of the prior (spread 0: none) of each, (3, 4).
@@ -330,13 +337,15 @@ def noise_cost(
         if k < len(x) and bounds[k, 3] > 0.0:
             prior += ((value[k] - bounds[k, 2]) / bounds[k, 3]) ** 2
     offset = math.exp(value[2]) if len(x) > 2 else 0.0
-    log_det, square = likelihood(time_s, run, unknown, wide, left, math.exp(value[0]), math.exp(value[1]), offset)
+    log_det, square = likelihood(
+        time_s, run, unknown, run_variance, left, math.exp(value[0]), math.exp(value[1]), offset
+    )
     return log_det + freedom * math.log(max(square, 1e-12) / freedom) + prior
 
 
 @njit
 def walk(  # noqa: PLR0912 - one walk, compiled
-    time_s: Floats, run: Ints, unknown: Floats, wide: Floats, left: Floats, freedom: float, start: Floats,
+    time_s: Floats, run: Ints, unknown: Floats, run_variance: Floats, left: Floats, freedom: float, start: Floats,
     bounds: Floats, evaluations: int,
 ) -> Floats:  # fmt: skip
     """Nelder and Mead's search from `start`; gives the best place, (2,) or (3,), within the bounds."""
@@ -345,7 +354,7 @@ def walk(  # noqa: PLR0912 - one walk, compiled
     for k in range(d + 1):
         for j in range(d):
             place[k, j] = start[j] + (0.7 if k == j + 1 else 0.0)
-        cost[k] = noise_cost(time_s, run, unknown, wide, left, freedom, place[k], bounds)
+        cost[k] = noise_cost(time_s, run, unknown, run_variance, left, freedom, place[k], bounds)
     used = d + 1
     middle, trial, further = np.empty(d), np.empty(d), np.empty(d)
     while used < evaluations:
@@ -360,12 +369,12 @@ def walk(  # noqa: PLR0912 - one walk, compiled
                     total += place[k, j]
             middle[j] = total / d
             trial[j] = 2.0 * middle[j] - place[worst, j]
-        value = noise_cost(time_s, run, unknown, wide, left, freedom, trial, bounds)
+        value = noise_cost(time_s, run, unknown, run_variance, left, freedom, trial, bounds)
         used += 1
         if value < cost[best]:
             for j in range(d):
                 further[j] = 3.0 * middle[j] - 2.0 * place[worst, j]
-            beyond = noise_cost(time_s, run, unknown, wide, left, freedom, further, bounds)
+            beyond = noise_cost(time_s, run, unknown, run_variance, left, freedom, further, bounds)
             used += 1
             if beyond < value:
                 place[worst], cost[worst] = further, beyond
@@ -378,7 +387,7 @@ def walk(  # noqa: PLR0912 - one walk, compiled
         for j in range(d):
             inner = trial[j] if value < cost[worst] else place[worst, j]
             further[j] = 0.5 * (middle[j] + inner)
-        inside = noise_cost(time_s, run, unknown, wide, left, freedom, further, bounds)
+        inside = noise_cost(time_s, run, unknown, run_variance, left, freedom, further, bounds)
         used += 1
         if inside < min(value, cost[worst]):
             place[worst], cost[worst] = further, inside
@@ -387,7 +396,7 @@ def walk(  # noqa: PLR0912 - one walk, compiled
             if k != best:
                 for j in range(d):
                     place[k, j] = 0.5 * (place[k, j] + place[best, j])
-                cost[k] = noise_cost(time_s, run, unknown, wide, left, freedom, place[k], bounds)
+                cost[k] = noise_cost(time_s, run, unknown, run_variance, left, freedom, place[k], bounds)
                 used += 1
     best = np.argmin(cost)
     out: Floats = place[best].copy()

@@ -19,7 +19,7 @@ from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import MeasurementError
 from rtec.estimation.columns import effect_columns, ordered
-from rtec.estimation.flexible import flexible_columns, less
+from rtec.estimation.flexible import flexible_columns, unexplained
 from rtec.estimation.floor import Floor, flattened, floors, tails_of
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
@@ -66,20 +66,20 @@ def compare(
     Raises:
         MeasurementError: the measurements are of another machine, or lack a channel that the model needs.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     _check(model, measurements)
     check_enough(measurements, FEWEST)
     with one_blas_thread():
-        tell("reading, predicting", 0, 1)
+        progress("reading, predicting", 0, 1)
         judged = Judgement(model, clean(measurements, model.reference_degc))
         readings, notes = judged.readings, outlier_words(judged.given.wrong)
         traces = _traces(model, readings)
         if residual is not None:
             residual(traces)
-        tell("finding the noise", 0, 1)
+        progress("finding the noise", 0, 1)
         columns = flexible_columns(readings, judged.base.columns)
         whitener = _of_chance(readings, traces.left, judged.flexible, judged.noise)
-        tails = tails_of(whitener, less(readings, columns, traces.left))
+        tails = tails_of(whitener, unexplained(readings, columns, traces.left))
         worst = locate(readings, traces.left, whitener, tails, seed, stage)
     items = tuple(
         _compared(model, traces, s, f, w, columns[s.part])

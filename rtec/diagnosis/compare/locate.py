@@ -283,12 +283,12 @@ def locate(
         seed: of the random draws.
         stage: progress callback: called with the stage, steps done, steps in total.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     count = int(np.clip(MOST_NUMBERS // max(len(readings), 1), 60, DRAWS))
     noise = draws(whitener, tails, count, np.random.default_rng([seed, 500]))
     searches, scans = [], []
     for i, s in enumerate(readings.series):
-        tell("looking where it is worst", i, len(readings.series))
+        progress("looking where it is worst", i, len(readings.series))
         search = _Search(readings, s, left[s.part], noise[s.part])
         searches.append(search)
         scans.append(search.scan())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
-from rtec.diagnosis.extend.parameter_scan import ranged
+from rtec.diagnosis.extend.parameter_scan import scan_ranges
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
@@ -101,7 +101,7 @@ def _test(alike: Alike | None) -> str:
     return alike.separating_test if alike is not None else ""
 
 
-def said(taken: Finding, rivals: Sequence[PassedOver]) -> tuple[str, ...]:
+def rival_notes(taken: Finding, rivals: Sequence[PassedOver]) -> tuple[str, ...]:
     """Note that the readings did not decide, with the rivals and the test that separates each."""
     named = ", ".join(
         r.label + (f" ({percent(r.confidence)})" if r.confidence is not None else "") for r in rivals[:TOLD]
@@ -132,7 +132,7 @@ class Added(Result):
         after: errors with the new effects.
         floor: noise floor, as in `compare`.
         unit: "um", "urad", or "noise" (multiples of it).
-        better: whether the error on held-out runs fell significantly.
+        better: whether the error on held-out runs fell by more than `WORTH`.
         smoothed: held-out error with temperatures smoothed both ways in time, which the loop cannot do.
         notes: further remarks, in words.
         floor_from: "repeats", "short-time differences", or both.
@@ -223,9 +223,9 @@ def add(
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
         ModelError: a new effect is in the model already, or no reading shows it.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     with one_blas_thread():
-        return _add(model, new, measurements, margin or Margin(), tell, given)
+        return _add(model, new, measurements, margin or Margin(), progress, given)
 
 
 def _add(
@@ -233,12 +233,12 @@ def _add(
     new: Sequence[FittedEffect],
     measurements: Sequence[Measurement],
     margin: Margin,
-    tell: Stage,
+    progress: Stage,
     given: Clean | None,
 ) -> Added:
     _check_new(model, new)
     check_enough(measurements)
-    tell("refitting the model as it is", 0, 3)
+    progress("refitting the model as it is", 0, 3)
     there = given or clean(measurements, model.reference_degc).without_ends()
     readings = there.readings
     wrong = in_doubt(Judgement(model, there)) if given is None else ()
@@ -248,11 +248,11 @@ def _add(
     again = any(m.fingerprint in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None
     before = joint_fit(model.effects, readings, loose=loose)
-    tell("refitting with what is new" if new else "refitting", 1, 3)
+    progress("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, loose) if new else (no_worse(model, before), ())
-    tell("held-out runs", 2, 3)
+    progress("held-out runs", 2, 3)
     made = _judged(model, new, measurements, there, after, margin)
-    tell("held-out runs", 3, 3)
+    progress("held-out runs", 3, 3)
     named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in known)
     better = made.better and not cancelling and not wrong
@@ -324,7 +324,7 @@ def _with_new(
     found: list[FittedEffect] = []
     words: list[str] = []
     for fitted in new:
-        placed, said = ranged(fitted, before, readings)
+        placed, scan_notes = scan_ranges(fitted, before, readings)
         columns = check_finite(placed, readings)
         if not any(_moves(readings, column) for column in columns.T):
             raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
@@ -334,7 +334,7 @@ def _with_new(
                 "where they differ"
             )
         found.append(placed)
-        words += said
+        words += scan_notes
     least = least_noise(readings, floor.cleaned(readings, before.left))
     return joint_fit((*model.effects, *found), readings, loose=loose, least=least), tuple(words)
 
@@ -449,9 +449,9 @@ def check_one(name: str | None, expr: str | None, refit: bool) -> None:
         ModelError: more than one; a file in the place of the name belongs to `--data A B C`.
     """
     named = name is not None and name.lower() in all_effects() and not Path(name).exists()
-    said = [f"effect {name!r}"] * named + ["--expr"] * (expr is not None) + ["--refit"] * refit
-    if len(said) > 1:
-        raise ModelError(f"add: {' and '.join(said)} together: give either a name, or --expr, or --refit")
+    requested = [f"effect {name!r}"] * named + ["--expr"] * (expr is not None) + ["--refit"] * refit
+    if len(requested) > 1:
+        raise ModelError(f"add: {' and '.join(requested)} together: give either a name, or --expr, or --refit")
 
 
 def settings_of(texts: Sequence[str], where: str) -> dict[str, Any]:

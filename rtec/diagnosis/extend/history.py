@@ -18,7 +18,7 @@ class Errors:
     """Root mean squares, in the unit of the change.
 
     Attributes:
-        as_given: residual of the model before any refit; None where it was refitted before.
+        as_given: residual of the model before any refit; None for a refitted model.
         inside: residual of the fitted readings.
         held_out: error on held-out runs.
     """
@@ -81,7 +81,7 @@ def entry_of(
 
 
 def notes_of(model: Model, measurements: Sequence[Measurement]) -> tuple[str, ...]:
-    """Which measurements the model was fitted on earlier and that are not among these."""
+    """Measurements of earlier fits of the model that are not among these, in words."""
     given = {m.name for m in measurements}
     missing = [n for n in model.measurements if n not in given]
     if not missing:

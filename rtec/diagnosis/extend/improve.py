@@ -4,7 +4,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from rtec.diagnosis.extend.add import WORTH, Added, add, in_doubt, is_there, new_effect, residual_size, rivals_of, said
+from rtec.diagnosis.extend.add import (
+    WORTH,
+    Added,
+    add,
+    in_doubt,
+    is_there,
+    new_effect,
+    residual_size,
+    rival_notes,
+    rivals_of,
+)
 from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
@@ -30,7 +40,7 @@ LITTLE = 0.02
 """A relative fall of the held-out error below this is not worth an effect."""
 MOST = 8
 DETERMINED = 3.0
-"""Each number of a further temperature must be this many standard errors from zero: others cancel on one day."""
+"""Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
 FURTHER = (
     "this is a further temperature of an effect that the model has, for a body between several sensors; it was taken "
     "because it predicts held-out runs better, and it names no cause of its own"
@@ -286,7 +296,7 @@ def _with_rivals(added: Added, found: Diagnosis, taken: Finding) -> Added:
         return added
     entry = {**added.model.history[-1], "passed_over": [r.facts() for r in rivals]}
     model = replace(added.model, history=(*added.model.history[:-1], entry))
-    return replace(added, model=model, notes=(*said(taken, rivals), *added.notes), passed_over=rivals)
+    return replace(added, model=model, notes=(*rival_notes(taken, rivals), *added.notes), passed_over=rivals)
 
 
 def _inseparable(found: Diagnosis, machine: Machine) -> bool:

@@ -54,7 +54,7 @@ class _Search:
         keep = looked_at(readings)
         self.readings = readings if keep.all() else readings.without(~keep)
         noise = before.whitener
-        self.whitener = without_drift(Whitener(self.readings, noise.noises, noise.wides, noise.least))
+        self.whitener = without_drift(Whitener(self.readings, noise.noises, noise.run_variances, noise.least))
         self.base = orthonormal(self.whitener(before.columns[keep]))
         self.target = self._apart(self.whitener(self.readings.values))
         self.fitted = fitted
@@ -77,7 +77,7 @@ class _Search:
         return math.inf if residual is None else float(residual @ residual)
 
 
-def ranged(fitted: FittedEffect, before: Joint, readings: Readings) -> tuple[FittedEffect, tuple[str, ...]]:
+def scan_ranges(fitted: FittedEffect, before: Joint, readings: Readings) -> tuple[FittedEffect, tuple[str, ...]]:
     """Put the parameters of an expression at the best fit within their whole ranges.
 
     Args:
@@ -87,7 +87,7 @@ def ranged(fitted: FittedEffect, before: Joint, readings: Readings) -> tuple[Fit
 
     Returns:
         The effect at the best place (of several equal fits, at the one nearest to its start), and notes in words:
-            distant values that fit equally well.
+        distant values that fit equally well.
     """
     free = [p for p in fitted.effect.nonlinear(readings.machine) if np.isfinite([p.low, p.high]).all()]
     if fitted.effect.effect != "expression" or not free:
@@ -197,10 +197,10 @@ def _words(
     for p in free:
         values = sorted({float(f"{q.theta[p.name]:.4g}") for q in alike})
         if len(values) > 1:
-            told = f"{', '.join(f'{v:.4g}' for v in values[:-1])} and {values[-1]:.4g}"
+            listed = f"{', '.join(f'{v:.4g}' for v in values[:-1])} and {values[-1]:.4g}"
             why = ", for the targets are at equal steps" if _even(fitted, readings) else ""
             out.append(
-                f"these values of {p.name} fit alike within 1 %: {told}{why}; taken was "
+                f"these values of {p.name} fit alike within 1 %: {listed}{why}; taken was "
                 f"{chosen.theta[p.name]:.4g}, the nearest to the start; measure at unequal steps to separate them"
             )
     return tuple(out)

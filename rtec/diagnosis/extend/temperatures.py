@@ -40,7 +40,7 @@ def further_temperature(judged: Judgement) -> FittedEffect | None:
 
     Returns:
         A further copy of the effect, to be added; None where the model has no effect of a temperature along an axis, or
-            where a further one does not make the readings much likelier.
+        where a further one does not make the readings much likelier.
     """
     keep = looked_at(judged.readings)
     few = judged.readings.without(~keep)
@@ -63,7 +63,7 @@ def further_temperature(judged: Judgement) -> FittedEffect | None:
 def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping[str, float]]]:
     """Effects of a temperature along an axis, by every sensor and with every delay that the model lacks."""
     seen = {c.name: c for c in visible(readings)}
-    told: list[Effect] = []
+    offered: list[Effect] = []
     for fitted in model.effects:
         effect = fitted.effect
         along = isinstance(effect, AxisEffect) and getattr(effect, "sensor", None) is not None
@@ -72,9 +72,9 @@ def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping
         for sensor in surroundings(readings, seen[effect.component]).sensors:
             for late in _delays(effect):
                 other = effect.model_copy(update={"sensor": sensor, **late})
-                if other in told:
+                if other in offered:
                     continue
-                told.append(other)
+                offered.append(other)
                 for theta in _values(other, readings):
                     if not is_there(model, FittedEffect(other, {}, theta)):
                         yield other, theta

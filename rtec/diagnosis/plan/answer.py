@@ -9,7 +9,17 @@ import numpy as np
 
 from rtec.diagnosis.plan.ideas import extra_tests
 from rtec.diagnosis.plan.parameters import Planned, Stays, ball_bar_set, centres, planned
-from rtec.diagnosis.plan.plan import WEAK, Extra, Proposal, Separation, judge, propose, route, told, told_by
+from rtec.diagnosis.plan.plan import (
+    WEAK,
+    Extra,
+    Proposal,
+    Separation,
+    information_by_test,
+    judge,
+    propose,
+    route,
+    total_information,
+)
 from rtec.diagnosis.plan.separating import Separator, SimulatedRival, ranked
 from rtec.diagnosis.plan.tests import wanted_effects
 from rtec.errors import ConfigError
@@ -112,19 +122,19 @@ def answer(machine: Machine, tests: Sequence[Measurement], question: Question, s
         ConfigError: there is nothing to ask about, or the question does not fit the tests.
         ModelError: an unknown effect, component or argument.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     asked, beside, rivals = _asked(machine, tests, question)
     noise = {m.name: question.noise for m in tests}
     found = separation_of(asked, tests, noise, question.stays)
     names = tuple(m.name for m in tests)
     if not question.suggest or (found.complete and found.condition <= WEAK and not rivals and not beside):
         return Answer(names, found, noise=question.noise)
-    tell("looking for tests to add", 0, 1)
+    progress("looking for tests to add", 0, 1)
     extras = extra_tests(machine, tests)
     everything = planned([*asked, *beside], machine)
     here, more = (
-        told(everything, tests, noise, question.stays),
-        told_by(everything, extras, noise, question.stays),
+        total_information(everything, tests, noise, question.stays),
+        information_by_test(everything, extras, noise, question.stays),
     )
     return Answer(
         names,
@@ -148,7 +158,7 @@ def separation_of(
     asked: Sequence[Planned], tests: Sequence[Measurement], noise: Mapping[str, float], stays: Stays
 ) -> Separation:
     """Separation of parameters by tests."""
-    return judge(asked, told(asked, tests, noise, stays))
+    return judge(asked, total_information(asked, tests, noise, stays))
 
 
 def _asked(

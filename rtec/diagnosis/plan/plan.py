@@ -290,10 +290,10 @@ def separation(
         stays: which ball-bar tests share a table-side ball.
     """
     parameters = planned(asked, measurements[0].machine)
-    return judge(parameters, told(parameters, measurements, noise or {}, stays))
+    return judge(parameters, total_information(parameters, measurements, noise or {}, stays))
 
 
-def told(
+def total_information(
     parameters: Sequence[Planned], measurements: Sequence[Measurement], noise: Mapping[str, float], stays: Stays
 ) -> Floats:
     """Information of several tests together, (parameters, parameters)."""
@@ -334,8 +334,8 @@ def propose(
 ) -> list[Proposal]:
     """Rank additional tests: by what they would separate, then by duration, then by condition number."""
     parameters = planned(asked, measurements[0].machine)
-    here = told(parameters, measurements, noise or {}, stays)
-    return _ranked(parameters, here, told_by(parameters, extras, noise or {}, stays))
+    here = total_information(parameters, measurements, noise or {}, stays)
+    return _ranked(parameters, here, information_by_test(parameters, extras, noise or {}, stays))
 
 
 def route(
@@ -347,8 +347,8 @@ def route(
 ) -> list[Proposal]:
     """Tests one after another, each the cheapest of the best, until everything is separated or nothing helps."""
     parameters = planned(asked, measurements[0].machine)
-    here = told(parameters, measurements, noise or {}, stays)
-    left = told_by(parameters, extras, noise or {}, stays)
+    here = total_information(parameters, measurements, noise or {}, stays)
+    left = information_by_test(parameters, extras, noise or {}, stays)
     out: list[Proposal] = []
     while len(out) < MOST_STEPS and not judge(parameters, here).complete:
         ranked = [p for p in _ranked(parameters, here, left) if p.after.rank > judge(parameters, here).rank]
@@ -359,7 +359,7 @@ def route(
     return out
 
 
-def told_by(
+def information_by_test(
     parameters: Sequence[Planned], extras: Sequence[Extra], noise: Mapping[str, float], stays: Stays
 ) -> list[tuple[Extra, Floats]]:
     """Information of each additional test; its noise is that of the others."""

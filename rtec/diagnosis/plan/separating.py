@@ -125,13 +125,13 @@ def separating(
     else:
         here = np.zeros(2 * (_width((*model.effects, *rivals), machine),))
         here += sum(_of_test(model, rivals, m, noise) for m in measurements)
-    told = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
+    informed = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
     edges = np.cumsum([_width(model.effects, machine), *(_width([f], machine) for f in rivals)])
     split = [
         SimulatedRival(label(f.effect), np.arange(first, last), _values(f, machine))
         for f, first, last in zip(rivals, edges[:-1], edges[1:], strict=True)
     ]
-    return ranked(here, told, np.arange(edges[0]), split)
+    return ranked(here, informed, np.arange(edges[0]), split)
 
 
 def ranked(
@@ -169,11 +169,11 @@ def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[SimulatedRiv
     """Half the squared misfit of rival j fitted to rival i, (rivals, rivals)."""
     out = np.zeros((len(rivals), len(rivals)))
     for i, one in enumerate(rivals):
-        said = one.columns[: len(one.values)]
+        own = one.columns[: len(one.values)]
         for j, other in enumerate(rivals):
             if i != j:
                 rest = np.concatenate([base, other.columns]).astype(np.int64)
-                out[i, j] = 0.5 * _left(whole, said, one.values, rest)
+                out[i, j] = 0.5 * _misfit(whole, own, one.values, rest)
     return out
 
 
@@ -186,14 +186,14 @@ def _pairs(rivals: Sequence[SimulatedRival], before: Floats, after: Floats) -> t
     )
 
 
-def _left(whole: Floats, said: NDArray[np.int64], values: Floats, rest: NDArray[np.int64]) -> float:
-    """Sum of squares of `columns[said] · values` that the columns `rest` cannot explain."""
+def _misfit(whole: Floats, own: NDArray[np.int64], values: Floats, rest: NDArray[np.int64]) -> float:
+    """Sum of squares of `columns[own] · values` that the columns `rest` cannot explain."""
     size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     scaled = whole / np.outer(size, size)
-    weights = values * size[said]
+    weights = values * size[own]
     inner = scaled[np.ix_(rest, rest)]
-    cross = scaled[np.ix_(rest, said)] @ weights
-    total = float(weights @ scaled[np.ix_(said, said)] @ weights)
+    cross = scaled[np.ix_(rest, own)] @ weights
+    total = float(weights @ scaled[np.ix_(own, own)] @ weights)
     taken = float(cross @ np.linalg.pinv(inner, rcond=TINY, hermitian=True) @ cross) if len(rest) else 0.0
     # Smaller values are rounding of this large sum.
     return max(total - taken, 0.0) if total - taken > 1e-9 * total else 0.0
@@ -290,9 +290,9 @@ def _words(known: str, test: Extra, gain: float) -> str:
     made = f"{test.name} ({hours_in_words(test.hours)})"
     if gain >= CLEAR:
         odds = "more than 1000 to 1" if gain > math.log(1000.0) else f"about {math.exp(gain):.0f} to 1"
-        said = f"here: {made}, expected odds {odds}"
+        text = f"here: {made}, expected odds {odds}"
     elif gain > 0.5:
-        said = f"of the usual tests none settles it alone; the best is {made}, expected odds {math.exp(gain):.1f} to 1"
+        text = f"of the usual tests none settles it alone; the best is {made}, expected odds {math.exp(gain):.1f} to 1"
     else:
-        said = "none of the usual tests on this machine separates them"
-    return f"{known}; {said}" if known else said
+        text = "none of the usual tests on this machine separates them"
+    return f"{known}; {text}" if known else text

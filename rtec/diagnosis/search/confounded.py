@@ -62,7 +62,7 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         cos: cosine between what the two contribute to the readings.
         log_odds: log evidence of the one over the other.
     """
-    why, test = _told(one, other)
+    why, test = _from_catalogue(one, other)
     apart = cos < APART
     if apart:
         why, test = "", "add rank 1, then diagnose again"
@@ -87,7 +87,7 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
     )
 
 
-def _told(one: Effect, other: Effect) -> tuple[str, str]:
+def _from_catalogue(one: Effect, other: Effect) -> tuple[str, str]:
     """The catalogue's entries about two effects, in both directions."""
     kinds = all_effects()
     for a, b in ((one, other), (other, one)):
@@ -320,9 +320,9 @@ def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats
     if step is None:
         return None
     along = _Along(readings, base, effect.component, axis.channel)
-    tried = np.linspace(LONG / along.span_mm, 0.5 / step, FREQUENCIES)
-    cosines = [along.like_a_wave(float(f), part) for f in tried]
-    best, period = max(cosines), 1.0 / float(tried[int(np.argmax(cosines))])
+    frequencies = np.linspace(LONG / along.span_mm, 0.5 / step, FREQUENCIES)
+    cosines = [along.like_a_wave(float(f), part) for f in frequencies]
+    best, period = max(cosines), 1.0 / float(frequencies[int(np.argmax(cosines))])
     if best < WAVE:
         return None
     others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:ALIASES])
@@ -359,10 +359,9 @@ def fold(readings: Readings, base: Floats, effect: Effect, theta: Mapping[str, f
         folded = tuple(p for p in folded if close or cosines[p] > WAVE)
         if not folded:
             return None
-        said = ", ".join(f"{p:.4g} mm (cosine {cosines[p]:.2f})" for p in folded)
-        why = (
-            f"targets stand every {step:.4g} mm or nearly so, and there a wave of {period:.4g} mm is like one of {said}"
-        )
+        listed = ", ".join(f"{p:.4g} mm (cosine {cosines[p]:.2f})" for p in folded)
+        there = f"targets stand every {step:.4g} mm or nearly so, and there a wave of {period:.4g} mm"
+        why = f"{there} is like one of {listed}"
     else:
         if known and period >= PER_WAVE * step:
             return None

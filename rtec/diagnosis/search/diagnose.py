@@ -87,10 +87,10 @@ def diagnose(
     """
     check_enough(measurements)
     with one_blas_thread():
-        tell = stage or (lambda *_: None)
-        tell("reading, finding the noise", 0, 1)
+        progress = stage or (lambda *_: None)
+        progress("reading, finding the noise", 0, 1)
         there = given or clean(measurements, model.reference_degc).without_ends()
-        return _Search(model, there, seed, alpha, draws, only, explain, tell).diagnosis()
+        return _Search(model, there, seed, alpha, draws, only, explain, progress).diagnosis()
 
 
 ANOTHER = 0.05
@@ -142,62 +142,62 @@ class _Search:
         """Run the steps and return the answer."""
         prepared, readings = self.prepared, self.readings
         projected = self._projected
-        found = self.refits.first_look(projected)
+        found = self.refits.weigh_all(projected)
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
-        again = self.refits.anew(found, self.refits.second_look())
-        tried = led(again, self._prior_odds + SURE, prepared.base, readings)
-        best = tried[0] if tried else None
+        again = self.refits.refitted(found, self.refits.weigh_without_drift())
+        refitted = led(again, self._prior_odds + SURE, prepared.base, readings)
+        best = refitted[0] if refitted else None
         accepted = best is not None and self._accepts(best, p)
         named, share, unknown = self._adequate(best if accepted else None)
         # An effect that explains next to nothing alone, and is named for what it does beside another, is half a pair.
         half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
         if self._doubted:
             named, unknown = False, None
-        pair = None if self._doubted or (accepted and named and not half) else self._pair(tried)
+        pair = None if self._doubted or (accepted and named and not half) else self._pair(refitted)
         rich = pair is not None and any(t.columns.shape[1] > PLAIN for t in pair)
-        chain = self._chain(tried, p) if rich or (unknown is not None and pair is None) else []
+        chain = self._chain(refitted, p) if rich or (unknown is not None and pair is None) else []
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
         if accepted and named and pair is None and best is not None and not chain:
-            chain = self._simple_ones(best, tried)
+            chain = self._simple_ones(best, refitted)
         if chain:
-            tried = [chain[0], *(t for t in tried if t.number != chain[0].number)]
+            refitted = [chain[0], *(t for t in refitted if t.number != chain[0].number)]
             accepted, named = True, True
         if pair is not None:
             numbers = [t.number for t in pair]
-            tried = [*pair, *(t for t in tried if t.number not in numbers)]
+            refitted = [*pair, *(t for t in refitted if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
-        undecided = self._undecided(tried) if not (accepted and named) and unknown is None else None
+        undecided = self._undecided(refitted) if not (accepted and named) and unknown is None else None
         if undecided is not None:
-            tried = [undecided[1], *(t for t in tried if t is not undecided[1])]
+            refitted = [undecided[1], *(t for t in refitted if t is not undecided[1])]
         return answer(
             SearchResult(
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
-                self.refits, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
-                unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
+                self.refits, refitted, pair[1].number if pair is not None else None, p, accepted and named, share,
+                unknown, self._top_shape, self.seed, self.explain, self._next(refitted, pair, accepted and named),
                 self.judged, self.doubts, tuple(chain),
                 undecided[0] if undecided is not None else None,
             )
         )  # fmt: skip
 
-    def _undecided(self, tried: Sequence[Refitted]) -> tuple[RunsDiffer, Refitted] | None:
+    def _undecided(self, refitted: Sequence[Refitted]) -> tuple[RunsDiffer, Refitted] | None:
         """Differences between runs, and the likeliest effect that may explain them though too few runs decide."""
-        may = [t for t in tried if t.holds and t.drop >= MAY and t.log_evidence > 0.0]
+        may = [t for t in refitted if t.holds and t.drop >= MAY and t.log_evidence > 0.0]
         if self._doubted or not may:
             return None
-        found = runs_differ(self.readings, self.refits.without.left, self.judged.scale)
+        found = runs_differ(self.readings, self.refits.current.left, self.judged.scale)
         if found is None:
             return None
         first = max(may, key=lambda t: t.log_evidence)
         return RunsDiffer(*found, type(self.candidates[first.number].effect).about.reveal), first
 
-    def _next(self, tried: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
+    def _next(self, refitted: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
         """All candidates beside the named one; of very many readings some are skipped, and sizes are then unknown."""
-        if not self.explain or not named or self.refits.few[1] is not self.readings:
+        if not self.explain or not named or self.refits.subset[1] is not self.readings:
             return None
-        fit = (pair[1] if pair is not None else tried[0]).fit
-        return self.refits.look(fit.whitener, fit.columns)
+        fit = (pair[1] if pair is not None else refitted[0]).fit
+        return self.refits.weigh(fit.whitener, fit.columns)
 
     def _accepts(self, best: Refitted, p: float) -> bool:
         """Noise alone is unlikely, or the evidence with the refitted noise overwhelming; and held-out runs agree.
@@ -208,7 +208,7 @@ class _Search:
         beyond = best.log_evidence - self._prior_odds
         if self._doubted:
             return False
-        if unrecorded_heat(self.readings, self.refits.without) is not None and (
+        if unrecorded_heat(self.readings, self.refits.current) is not None and (
             best.drop < NOTHING_MUCH or self.refits.beside_slopes(best) - self._prior_odds < SURE
         ):
             return False  # heat that no sensor recorded bends and stretches as much
@@ -294,7 +294,7 @@ class _Search:
         pairs = [t for t in self.refits.beside(best) if top is None or not far_better(top, t)]
         return max((t.log_evidence for t in pairs), default=-math.inf)
 
-    def _pair(self, tried: Sequence[Refitted]) -> tuple[Refitted, Refitted] | None:
+    def _pair(self, refitted: Sequence[Refitted]) -> tuple[Refitted, Refitted] | None:
         """Two effects that do not improve held-out runs alone, and together leave little residual.
 
         An example is an immediate effect and the same effect, delayed, with the other sign: a part that bends while it
@@ -305,7 +305,7 @@ class _Search:
             return None
         width, bar = self.prepared.base.shape[1], self._prior_odds + OVERWHELMING
         best: tuple[Refitted, Refitted] | None = None
-        firsts = [t for t in sorted(tried, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]
+        firsts = [t for t in sorted(refitted, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]
         for first, seconds in zip(firsts, each(self.refits.beside, firsts, len(self.readings)), strict=True):
             for second in seconds:
                 sure = second.holds and second.log_evidence - first.log_evidence > bar and second.drop > MOSTLY
@@ -318,7 +318,7 @@ class _Search:
             return None
         return best
 
-    def _chain(self, tried: Sequence[Refitted], p: float) -> list[Refitted]:
+    def _chain(self, refitted: Sequence[Refitted], p: float) -> list[Refitted]:
         """Simple, significant effects that remove much of the residual, though a shape without a name removes more.
 
         A shape that may take any form also contains a squareness. So a plain effect of one or two numbers is named
@@ -341,14 +341,14 @@ class _Search:
             few = len(places) <= 1 and len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
             return few and not read & followed  # a straight line through a curve over a temperature is no cause
 
-        sure = [t for t in tried if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
+        sure = [t for t in refitted if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.drop, default=None)
         if first is None:
             return []
         chain = self.refits.chain(first, bar, plain)
         return chain if chain[-1].drop >= LITTLE else []
 
-    def _simple_ones(self, best: Refitted, tried: Sequence[Refitted]) -> list[Refitted]:
+    def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
         """Two simple effects that together are likelier than one of three numbers or more; empty where there are none.
 
         Both must be as significant as a first one: an effect of many numbers can fit two causes as well as one.
@@ -356,7 +356,7 @@ class _Search:
         if best.columns.shape[1] <= PLAIN:
             return []
         bar = self._prior_odds + SURE
-        simple = [t for t in tried if t.holds and t.columns.shape[1] <= PLAIN and t.log_evidence > bar]
+        simple = [t for t in refitted if t.holds and t.columns.shape[1] <= PLAIN and t.log_evidence > bar]
         out: list[Refitted] = []
         for first in sorted(simple, key=lambda t: -t.log_evidence)[:BESIDE]:
             for second in self.refits.beside(first):
@@ -377,12 +377,14 @@ class _Search:
         known = best.fit.whitener if best is not None else self.prepared.whitener
         noises = (known, without_drift(self.prepared.whitener))
         return best_shapes(
-            self.readings, self.prepared.base, noises, self.refits.fit, self.refits.without, self.refits.left_out
+            self.readings, self.prepared.base, noises, self.refits.fit, self.refits.current, self.refits.held_out_gain
         )
 
     def _unknown(self, top: Shaped) -> Unknown:
         by_time = "time_s" in top.shape.variables
-        top = without_idle(top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.left_out)
+        top = without_idle(
+            top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.held_out_gain
+        )
         self._top_shape, shape = top, top.shape
         period, step = None, None
         if shape.period is not None:

@@ -151,13 +151,13 @@ def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
 
 
 def _local(span: Span) -> Iterator[tuple[Literal["hump", "step"], str, tuple[ExpressionSearch, ...]]]:
-    wide = span.high - span.low
-    narrow = max(NARROWEST * wide, span.step)
-    if narrow >= WIDEST * wide:
+    span_length = span.high - span.low
+    narrow = max(NARROWEST * span_length, span.step)
+    if narrow >= WIDEST * span_length:
         return
     centre = ExpressionSearch("centre", span.low, span.high, tuple(np.linspace(span.low, span.high, CENTRES + 2)[1:-1]))
-    widths = tuple(np.geomspace(narrow, WIDEST * wide, WIDTHS))
-    width = ExpressionSearch("width", 0.5 * narrow, wide, widths, ratio=True)
+    widths = tuple(np.geomspace(narrow, WIDEST * span_length, WIDTHS))
+    width = ExpressionSearch("width", 0.5 * narrow, span_length, widths, ratio=True)
     yield "hump", f"exp(-(({span.name} - centre)/width)**2)", (centre, width)
     yield "step", f"tanh(({span.name} - centre)/width)", (centre, width)
 
@@ -165,13 +165,13 @@ def _local(span: Span) -> Iterator[tuple[Literal["hump", "step"], str, tuple[Exp
 def _waves(spans: Sequence[Span], period: float | None) -> Iterator[Form]:
     """An even wave, and waves whose height grows with a variable or along their own axis."""
     first = spans[0]
-    wide = first.high - first.low
+    span_length = first.high - first.low
     if period is not None:
         # At a larger deviation the wave would be out of phase at the ends.
-        off = 0.5 * period / max(wide, period)
+        off = 0.5 * period / max(span_length, period)
         searched = ExpressionSearch("period", period * (1.0 - off), period * (1.0 + off), (period,))
     else:
-        shortest, longest = max(SAMPLED * first.step, NARROWEST * wide), wide / TURNS
+        shortest, longest = max(SAMPLED * first.step, NARROWEST * span_length), span_length / TURNS
         if shortest >= longest:
             return
         grid = tuple(1.0 / np.linspace(1.0 / longest, 1.0 / shortest, PERIODS))
@@ -220,7 +220,7 @@ class Typed:
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _Weighed:
     form: Form
     component: str
     effect: Effect
@@ -244,17 +244,17 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
     known = shaped.fit.whitener
     whitener = known if few is readings else replace(known, readings=few)
     projected = Projected.of(whitener, base[keep], few.values)
-    tried = [
+    weighed = [
         t
         for component in _components(few, projected, shaped)
         for form in forms_of(spans, shaped.shape.period)
         if (t := _best(few, projected, form, component)) is not None
     ]
-    top = max((t.evidence for t in tried), default=0.0)
+    top = max((t.evidence for t in weighed), default=0.0)
     if top <= 0.0:
         return None
     # A term that the model already has adds nothing: the form without it comes first.
-    best = next(t for t in tried if t.evidence > top - ALIKE)
+    best = next(t for t in weighed if t.evidence > top - ALIKE)
     best = _refined(few, projected, best)
     parameters = tuple(p.text(best.theta[p.name]) for p in best.form.searched)
     text = best.form.expression
@@ -292,7 +292,7 @@ def _components(readings: Readings, projected: Projected, shaped: Shaped) -> lis
     return [name for *_, name in sorted(scored)[:LEADING]]
 
 
-def _best(readings: Readings, projected: Projected, form: Form, component: str) -> _Tried | None:
+def _best(readings: Readings, projected: Projected, form: Form, component: str) -> _Weighed | None:
     try:
         texts = [p.text(p.start) for p in form.searched]
         effect = expression_from_text(form.expression, texts, component, readings.machine)
@@ -300,28 +300,28 @@ def _best(readings: Readings, projected: Projected, form: Form, component: str) 
         return None
     grids = itertools.product(*(p.grid for p in form.searched))
     thetas = (dict(zip((p.name for p in form.searched), map(float, values), strict=True)) for values in grids)
-    tried = (_tried(readings, projected, form, component, effect, theta) for theta in thetas)
-    return max((t for t in tried if t is not None), key=lambda t: t.evidence, default=None)
+    weighed = (_weighed(readings, projected, form, component, effect, theta) for theta in thetas)
+    return max((t for t in weighed if t is not None), key=lambda t: t.evidence, default=None)
 
 
-def _tried(
+def _weighed(
     readings: Readings, projected: Projected, form: Form, component: str, effect: Effect, theta: Mapping[str, float]
-) -> _Tried | None:
+) -> _Weighed | None:
     found = weigh(projected, readings.columns(effect, theta), len(theta))
-    return None if found is None else _Tried(form, component, effect, theta, found[2])
+    return None if found is None else _Weighed(form, component, effect, theta, found[2])
 
 
-def _refined(readings: Readings, projected: Projected, best: _Tried) -> _Tried:
+def _refined(readings: Readings, projected: Projected, best: _Weighed) -> _Weighed:
     """The parameters refined between grid points, by steps that halve."""
     for step in (0.5**k for k in range(1, HALVINGS + 1)):
         for theta in _about(best, step):
-            other = _tried(readings, projected, best.form, best.component, best.effect, theta)
+            other = _weighed(readings, projected, best.form, best.component, best.effect, theta)
             if other is not None and other.evidence > best.evidence:
                 best = other
     return best
 
 
-def _about(best: _Tried, step: float) -> Iterator[dict[str, float]]:
+def _about(best: _Weighed, step: float) -> Iterator[dict[str, float]]:
     for p in best.form.searched:
         for way in (-1.0, 1.0):
             value = best.theta[p.name] + way * step * p.between(best.theta[p.name])
@@ -329,7 +329,7 @@ def _about(best: _Tried, step: float) -> Iterator[dict[str, float]]:
                 yield {**best.theta, p.name: value}
 
 
-def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Tried, spans: Sequence[Span]) -> str:
+def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Weighed, spans: Sequence[Span]) -> str:
     """Place of the proposed form, in words."""
     first, unit = spans[best.form.along], spoken(unit_of_channel(spans[best.form.along].name))
     name, theta = named(first.name), best.theta
@@ -338,16 +338,16 @@ def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Tried, s
     values = solve(whole, whitener(readings.values))[base.shape[1] :]
     if best.form.kind == "hump":
         what = "hump" if values[0] > 0.0 else "dip"
-        wide = f"{FWHM * theta['width']:.2g}"
-        return f"a {what} at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}, about {wide} {unit} wide"
+        full_width = f"{FWHM * theta['width']:.2g}"
+        return f"a {what} at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}, about {full_width} {unit} wide"
     if best.form.kind == "step":
         return f"a step at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}"
     if best.form.kind == "wave":
         grows = best.form.grows
         searched = len(best.form.searched[0].grid) > 1
-        said = [f"a wave with a period of {_rounded(theta['period'])} {unit}"] if searched else []
-        said += [] if grows is None else [f"its height changing with {named(spans[grows].name)}"]
-        return ", ".join(said)
+        parts = [f"a wave with a period of {_rounded(theta['period'])} {unit}"] if searched else []
+        parts += [] if grows is None else [f"its height changing with {named(spans[grows].name)}"]
+        return ", ".join(parts)
     made = np.abs(columns @ values)
     at = [f"{named(s.name)} ≈ {_rounded(float(readings.channel(s.name)[int(np.argmax(made))]))} "
           f"{spoken(unit_of_channel(s.name))}".rstrip() for s in spans if not s.name.startswith("d_")]  # fmt: skip

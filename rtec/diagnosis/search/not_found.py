@@ -39,7 +39,7 @@ def untestable(untried: Sequence[Untried], found: Screen) -> tuple[NotTestable, 
     return tuple(out.values())
 
 
-def speaking_up(found: Screen, prior_odds: float) -> list[int]:
+def significant(found: Screen, prior_odds: float) -> list[int]:
     """Significant candidates, best first.
 
     Args:
@@ -49,25 +49,25 @@ def speaking_up(found: Screen, prior_odds: float) -> list[int]:
     return [i for i in found.order if found.score[i] > prior_odds + SURE]
 
 
-def absent_ones(
-    looks: Sequence[Screen], findings: Sequence[Finding], prior_odds: float
+def absent_effects(
+    screens: Sequence[Screen], findings: Sequence[Finding], prior_odds: float
 ) -> tuple[tuple[Absent, ...], tuple[NotTestable, ...]]:
     """The smallest size of each effect that would have been detected, root mean square in the readings.
 
     An effect that is significant in any of the screens is not absent, whatever was named before it.
 
     Args:
-        looks: screens of all candidates; the last has the named effects in its model and the best noise estimate.
+        screens: of all candidates; the last has the named effects in its model and the best noise estimate.
         findings: the named effects.
         prior_odds: log of the prior odds of "nothing" against any one effect.
 
     Returns:
         Effects that are ruled out; and effects that would show only if they were far larger than usual.
     """
-    heard = [(found, i) for found in looks for i in speaking_up(found, prior_odds)]
-    there = {(found.candidates[i].effect.effect, found.candidates[i].effect.component) for found, i in heard}
+    detected = [(found, i) for found in screens for i in significant(found, prior_odds)]
+    there = {(found.candidates[i].effect.effect, found.candidates[i].effect.component) for found, i in detected}
     there |= {(f.effect.effect, f.effect.component) for f in findings if f.group}
-    found, best, usual = looks[-1], dict[tuple[str, str], list[float]](), dict[tuple[str, str], float]()
+    found, best, usual = screens[-1], dict[tuple[str, str], list[float]](), dict[tuple[str, str], float]()
     projected = found.projected
     n = float(len(projected.left))
     noise = projected.squares / projected.freedom

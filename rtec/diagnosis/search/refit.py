@@ -44,21 +44,21 @@ EDGE = 1e-6
 
 
 def polished(
-    effect: Effect, tried: Sequence[Theta], best: int, readings: Readings, projected: Callable[[], Projected]
+    effect: Effect, grid: Sequence[Theta], best: int, readings: Readings, projected: Callable[[], Projected]
 ) -> dict[str, float]:
     """Non-linear parameters refined by least squares from the best grid value; that value where nothing is better.
 
     Args:
         effect: the candidate.
-        tried: grid of its non-linear parameters.
+        grid: values of its non-linear parameters.
         best: number of the best grid value.
         readings: the readings.
         projected: gives the whitened readings less the current model; called only where a parameter can be refined.
     """
-    start = dict(tried[best])
+    start = dict(grid[best])
     parameters = within_record(effect, readings.measurements)
-    free = [_between(p, tried, start) for p in parameters if _smooth(p)]
-    instants = {p.name: _nearby(p.name, tried, start, readings) for p in parameters if _instant(p)}
+    free = [_between(p, grid, start) for p in parameters if _smooth(p)]
+    instants = {p.name: _nearby(p.name, grid, start, readings) for p in parameters if _instant(p)}
     if not free and not instants:
         return start
     search = _Search(effect, start, free, readings, projected())
@@ -72,9 +72,9 @@ def _smooth(p: Parameter) -> bool:
     return math.isfinite(p.low) and math.isfinite(p.high) and p.low < p.high and not _instant(p)
 
 
-def _between(p: Parameter, tried: Sequence[Theta], start: Theta) -> Parameter:
+def _between(p: Parameter, grid: Sequence[Theta], start: Theta) -> Parameter:
     """The parameter bounded by the neighbouring grid values; at an end of the grid, by the same distance again."""
-    values = sorted({t[p.name] for t in tried})
+    values = sorted({t[p.name] for t in grid})
     if len(values) < 2:
         return p
     at = values.index(start[p.name])
@@ -109,13 +109,13 @@ def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
     q, plain = (orthonormal(without_nuisance(readings, base)), without_nuisance(readings, columns))
     plain = (plain - q @ (q.T @ plain)) / whitener.floor[readings.series_of][:, None]
     each_one = np.mean((plain - plain.mean(axis=0)) ** 2, axis=0)
-    told = np.sum(Projected.of(whitener, base, readings.values).take_out(whitener(columns)) ** 2, axis=0)
-    return np.asarray(np.clip(told / np.maximum(each_one, 1e-300), 2.0, float(len(readings))))
+    explained = np.sum(Projected.of(whitener, base, readings.values).take_out(whitener(columns)) ** 2, axis=0)
+    return np.asarray(np.clip(explained / np.maximum(each_one, 1e-300), 2.0, float(len(readings))))
 
 
-def _nearby(name: str, tried: Sequence[Theta], start: Theta, readings: Readings) -> list[float]:
+def _nearby(name: str, grid: Sequence[Theta], start: Theta, readings: Readings) -> list[float]:
     """Instants between readings from the grid value below to the one above, the grid's first."""
-    values = sorted({t[name] for t in tried})
+    values = sorted({t[name] for t in grid})
     at = values.index(start[name])
     low, high = values[max(at - 1, 0)], values[min(at + 1, len(values) - 1)]
     times = np.unique(readings.time_s)
@@ -252,31 +252,31 @@ PART, UNSURE = 0.01, math.log(20.0)
 numbers must add to be significant."""
 
 
-def led(tried: list[Refitted], bar: float, base: Floats, readings: Readings) -> list[Refitted]:
+def led(refitted: list[Refitted], bar: float, base: Floats, readings: Readings) -> list[Refitted]:
     """The best first: the likeliest, or a significant one that predicts held-out runs far better.
 
     Drift that is free to follow the readings absorbs much of what an effect does not explain, but it predicts nothing
     of held-out runs. Where a case with fewer numbers is nearly as likely, that one leads.
 
     Args:
-        tried: the likeliest first.
+        refitted: the likeliest first.
         bar: evidence from which a candidate is significant.
         base: columns of the current model, (m, p).
         readings: the readings.
     """
-    if not tried or not tried[0].holds:
-        return tried
-    first = tried[0]
-    sure = [t for t in tried if t.holds and t.log_evidence > bar and far_better(t, first)]
+    if not refitted or not refitted[0].holds:
+        return refitted
+    first = refitted[0]
+    sure = [t for t in refitted if t.holds and t.log_evidence > bar and far_better(t, first)]
     lead = max(sure, key=lambda t: t.log_evidence, default=first)
     known = Projected.of(lead.fit.whitener, base, readings.values)
     leaner = [
         t
-        for t in tried
+        for t in refitted
         if t.holds and lead.log_evidence - t.log_evidence < UNSURE and _is_case(t.columns, lead.columns, known)
     ]
     lead = max(leaner, key=lambda t: t.log_evidence, default=lead)
-    return [lead, *(t for t in tried if t is not lead)]
+    return [lead, *(t for t in refitted if t is not lead)]
 
 
 def _is_case(lean: Floats, rich: Floats, known: Projected) -> bool:
@@ -321,79 +321,79 @@ class Refits:
     def __init__(self, prepared: Prepared, candidates: Sequence[EffectCandidate], stage: Stage) -> None:
         self.prepared, self.readings, self.candidates, self.stage = prepared, prepared.readings, candidates, stage
         self.alternatives = Counter((c.effect.effect, c.effect.component) for c in candidates)
-        self.bank = Bank(self.readings, candidates, self.few[0])
-        self._found_beside: dict[int, list[Refitted]] = {}
+        self.bank = Bank(self.readings, candidates, self.subset[0])
+        self._refitted_beside: dict[int, list[Refitted]] = {}
 
     @cached_property
-    def without(self) -> Fit:
+    def current(self) -> Fit:
         """The fit of the current model alone."""
         return self.fit(self.prepared.base)
 
-    def anew(self, found: Screen, calm: Screen) -> list[Refitted]:
+    def refitted(self, found: Screen, driftless: Screen) -> list[Refitted]:
         """Fit the best of both screens together with the noise; best first."""
         base = self.prepared.base
-        without = self.without
-        looks = [(found, i) for i in self._top(found)]
-        seen = {i for _, i in looks}
-        looks += [(calm, i) for i in self._top(calm) if i not in seen and i in found.best]
+        current = self.current
+        chosen = [(found, i) for i in self._top(found)]
+        seen = {i for _, i in chosen}
+        chosen += [(driftless, i) for i in self._top(driftless) if i not in seen and i in found.best]
         counted = itertools.count()
 
-        def tried(which: tuple[Screen, int]) -> Refitted:
-            self.stage("refitting the best", next(counted), len(looks))
-            look, number = which
-            variant = look.variants[look.best[number]]
-            theta = self._polished(number, variant.theta, look.projected.whitener, base)
+        def refit(which: tuple[Screen, int]) -> Refitted:
+            self.stage("refitting the best", next(counted), len(chosen))
+            weighed, number = which
+            variant = weighed.variants[weighed.best[number]]
+            theta = self._polished(number, variant.theta, weighed.projected.whitener, base)
             columns = self._columns(number, theta)
             fit = self.fit(np.concatenate([base, columns], axis=1))
-            evidence = fit.log_likelihood - without.log_likelihood - self._cost(columns, variant.count)
-            evidence -= look.search_cost(number) + self._choice_cost(number)
+            evidence = fit.log_likelihood - current.log_likelihood - self._cost(columns, variant.count)
+            evidence -= weighed.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
             return Refitted(number, theta, columns, fit, evidence, *self._judged(number, fit.whitener, base, columns))
 
         # A candidate that predicts held-out runs worse is no winner, whatever its evidence.
-        return sorted(each(tried, looks, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
+        return sorted(each(refit, chosen, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
 
-    def look(self, now: Whitener, base: Floats) -> Screen:
+    def weigh(self, now: Whitener, base: Floats) -> Screen:
         """Screen of all candidates beside columns, (m, p), under a noise; of very many readings, on some."""
-        return screen(self.bank, self._looked(now, base))
+        return screen(self.bank, self._projected(now, base))
 
-    def first_look(self, projected: Projected) -> Screen:
+    def weigh_all(self, projected: Projected) -> Screen:
         """Screen of all candidates on all readings; keeps the columns for later screens."""
         return screen_all(self.bank, projected, lambda d, t: self.stage("weighing candidates", d, t))
 
-    def _looked(self, now: Whitener, base: Floats) -> Projected:
+    def _projected(self, now: Whitener, base: Floats) -> Projected:
         """The readings of a screen, whitened, less columns, (m, p)."""
-        keep, few = self.few
-        return Projected.of(Whitener(few, now.noises, now.wides, now.least), base[keep], few.values)
+        keep, subset = self.subset
+        return Projected.of(Whitener(subset, now.noises, now.run_variances, now.least), base[keep], subset.values)
 
-    def second_look(self) -> Screen:
+    def weigh_without_drift(self) -> Screen:
         """The same screen under nearly no drift: the estimated noise may have absorbed a missing effect."""
-        return self.look(self._calm, self.prepared.base)
+        return self.weigh(self._driftless, self.prepared.base)
 
     def fit(self, columns: Floats) -> Fit:
         """Fit from the estimated noise and from nearly no drift; the likelier of the two."""
         # One round shows which is the likelier; only that one is iterated further.
-        starts = (self.prepared.whitener, self._calm)
+        starts = (self.prepared.whitener, self._driftless)
         best = max((fit_columns(w, columns, 1) for w in starts), key=lambda f: f.log_likelihood)
         return fit_columns(best.whitener, columns, ROUNDS - 1, values=best.values)
 
     @cached_property
-    def _calm(self) -> Whitener:
+    def _driftless(self) -> Whitener:
         """The noise with nearly no drift."""
         return without_drift(self.prepared.whitener)
 
     def beside(self, first: Refitted) -> list[Refitted]:
         """The best effects beside a first one, each fitted together with it; the evidence is that of both."""
-        if first.number not in self._found_beside:
-            self._found_beside[first.number] = self._look_beside(first)
-        return self._found_beside[first.number]
+        if first.number not in self._refitted_beside:
+            self._refitted_beside[first.number] = self._refit_beside(first)
+        return self._refitted_beside[first.number]
 
-    def _look_beside(self, first: Refitted) -> list[Refitted]:
+    def _refit_beside(self, first: Refitted) -> list[Refitted]:
         width = self.prepared.base.shape[1]
         base = np.concatenate([self.prepared.base, first.columns], axis=1)
-        found = self.look(first.fit.whitener, base)
+        found = self.weigh(first.fit.whitener, base)
 
-        def tried(number: int) -> Refitted:
+        def refit(number: int) -> Refitted:
             variant = found.variants[found.best[number]]
             theta = self._polished(number, variant.theta, found.projected.whitener, base)
             columns = self._columns(number, theta)
@@ -404,27 +404,29 @@ class Refits:
             return Refitted(number, theta, columns, fit, evidence, *judged, base.shape[1])
 
         return self._with_rivals(
-            found, each(tried, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
+            found, each(refit, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
         )
 
     def _with_rivals(
-        self, found: Screen, tried: Sequence[Refitted], there: Sequence[tuple[str, str]]
+        self, found: Screen, refitted: Sequence[Refitted], there: Sequence[tuple[str, str]]
     ) -> list[Refitted]:
         """The same, each with those of another name that are nearly as likely or have the same shape.
 
         Args:
             found: screen of all candidates beside the effects in `there`.
-            tried: the refitted ones.
+            refitted: these candidates, each with its fit.
             there: effects and components that are already fitted.
         """
         out = []
-        for t in tried:
+        for t in refitted:
             others = {*there, self._name(t.number)}
-            out.append(replace(t, rivals=tuple(i for i in self._near(found, t, tried) if self._name(i) not in others)))
+            out.append(
+                replace(t, rivals=tuple(i for i in self._near(found, t, refitted) if self._name(i) not in others))
+            )
         return out
 
-    def _near(self, found: Screen, t: Refitted, tried: Sequence[Refitted]) -> list[int]:
-        near = {o.number for o in tried if o.holds and t.log_evidence - o.log_evidence < WITHIN}
+    def _near(self, found: Screen, t: Refitted, refitted: Sequence[Refitted]) -> list[int]:
+        near = {o.number for o in refitted if o.holds and t.log_evidence - o.log_evidence < WITHIN}
         shape, width = found.contribution(t.number), found.variants[found.best[t.number]].count
         least = found.score[t.number] - self._choice_cost(t.number) - WITHIN
         for number in found.order[:DISTINCT]:
@@ -447,7 +449,7 @@ class Refits:
         width, out = self.prepared.base.shape[1], [first]
         while len(out) < MOST_TOGETHER:
             last = out[-1]
-            found = self.look(without_drift(last.fit.whitener), last.fit.columns)
+            found = self.weigh(without_drift(last.fit.whitener), last.fit.columns)
             # One effect of one component by two sensors is that effect of a body without a sensor of its own.
             there = [self._name(t.number) for t in out]
             order = [i for i in self._distinct(found) if may(self.candidates[i].effect) and self._name(i) not in there]
@@ -481,12 +483,12 @@ class Refits:
 
         An effect that changes only from run to run is determined by the runs, however many readings each has.
         """
-        return 0.5 * count * float(np.mean(np.log(effective(self.without.whitener, self.prepared.base, columns))))
+        return 0.5 * count * float(np.mean(np.log(effective(self.current.whitener, self.prepared.base, columns))))
 
     def _polished(self, number: int, theta: int, now: Whitener, base: Floats) -> Mapping[str, float]:
         """Non-linear parameters of a candidate, refined beside a base from the grid's values."""
         candidate = self.candidates[number]
-        return polished(candidate.effect, candidate.thetas, theta, self.few[1], lambda: self._looked(now, base))
+        return polished(candidate.effect, candidate.thetas, theta, self.subset[1], lambda: self._projected(now, base))
 
     def _columns(self, number: int, theta: Mapping[str, float]) -> Floats:
         """Columns of a candidate, (m, k)."""
@@ -550,7 +552,7 @@ class Refits:
         without, with_it = (
             fit_columns(noise, c).log_likelihood for c in (base, np.concatenate([base, t.columns], axis=1))
         )
-        cost = t.fit.log_likelihood - self.without.log_likelihood - t.log_evidence
+        cost = t.fit.log_likelihood - self.current.log_likelihood - t.log_evidence
         return with_it - without - cost
 
     def at_instant(self, number: int) -> bool:
@@ -562,8 +564,8 @@ class Refits:
         candidate = self.candidates[t.number]
         if not self.at_instant(t.number):
             return False
-        known = self._looked(without_drift(t.fit.whitener), t.fit.columns)
-        columns = [live_columns(candidate.effect, theta, self.few[1])[:, :1] for theta in candidate.thetas]
+        known = self._projected(without_drift(t.fit.whitener), t.fit.columns)
+        columns = [live_columns(candidate.effect, theta, self.subset[1])[:, :1] for theta in candidate.thetas]
         white = known.take_out(known.whitener(np.concatenate(columns, axis=1)))
         squares, along = np.sum(white**2, axis=0), white.T @ known.left
         best = int(np.argmax(along**2 / np.maximum(squares, 1e-12)))
@@ -578,17 +580,17 @@ class Refits:
             searched: number of searched parameters.
         """
         base, best = self.prepared.base, None
-        for noise in (self.prepared.whitener, self._calm):
+        for noise in (self.prepared.whitener, self._driftless):
             known = Projected.of(noise, base, self.readings.values)
             squares = [float(np.sum((orthonormal(known.take_out(noise(c))).T @ known.left) ** 2)) for c in curves]
             columns = curves[int(np.argmax(squares))]
             fit = self.fit(np.concatenate([base, columns], axis=1))
             gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + searched)
             best = gain if best is None else max(best, gain)
-        return (best or 0.0) - self.without.log_likelihood
+        return (best or 0.0) - self.current.log_likelihood
 
     def _judged(self, number: int, whitener: Whitener, beside: Floats, columns: Floats) -> tuple[float, float]:
-        """`left_out`; the fall is zero for a wave that does not predict the held-out targets.
+        """`held_out_gain`; the fall is zero for a wave that does not predict the held-out targets.
 
         Args:
             number: of the candidate.
@@ -596,18 +598,18 @@ class Refits:
             beside: columns without the candidate, (m, p).
             columns: beyond the current model, with it, (m, k).
         """
-        drop, gain = self.left_out(whitener, columns)
+        drop, gain = self.held_out_gain(whitener, columns)
         candidate = self.candidates[number]
         if drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, candidate.thetas):
             return 0.0, min(gain, 0.0)
         return drop, gain
 
-    def left_out(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
+    def held_out_gain(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on held-out runs, and the gain in whitened squares for each fold."""
         return held_out_gain(whitener, self.prepared.base, columns)
 
     @cached_property
-    def few(self) -> tuple[NDArray[np.bool_], Readings]:
+    def subset(self) -> tuple[NDArray[np.bool_], Readings]:
         """Which readings a screen uses, (m,), and these readings."""
         keep = looked_at(self.readings)
         return keep, self.readings if keep.all() else self.readings.without(~keep)

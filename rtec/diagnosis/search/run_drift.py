@@ -23,20 +23,20 @@ def run_drifts(readings: Readings, left: Floats) -> tuple[str, ...]:
         readings: the readings.
         left: residual of the best fit, in the unit of each reading, (m,).
     """
-    told = []
+    notes = []
     for s in readings.series:
         trend = _trend(s, left[s.part])
         if trend is not None and trend[1] < CHANCE:
             unit = UNITS.get(s.unit, s.unit)
             name = f"{readings.measurements[s.source].name} {s.column}"
             way = "rises" if trend[0] > 0.0 else "falls"
-            told.append(
+            notes.append(
                 f"drift between the runs (cycles) of {name}: their mean {way} steadily, by "
                 f"{significant(abs(trend[0]), 2)} {unit} from the first to the last. "
                 "An effect of geometry would be the same in each: suspect the zero, the "
                 "instrument, or heat that was not recorded"
             )
-    return tuple(told)
+    return tuple(notes)
 
 
 def _trend(series: Series, left: Floats) -> tuple[float, float] | None:

@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Tell = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 ABSORBED = 2e-3
 """A direction is absorbed where the base leaves less than this share of its norm."""
 UNMOVED = 1e-3
@@ -96,7 +96,7 @@ class Variant:
     squares: Floats
 
 
-Looked = list[tuple[Variant, Single, Floats]]
+WeighedChunk = list[tuple[Variant, Single, Floats]]
 """Variants of a chunk, each with its directions at the readings that are kept, (kept, count), and their products."""
 
 
@@ -270,33 +270,33 @@ def screen(bank: Bank, projected: Projected) -> Screen:
     """
     weighed = _Weighed(bank, projected, None)
     for chunk in bank.chunks:
-        weighed.take(weighed.look(chunk))
+        weighed.append(weighed.weigh(chunk))
     return weighed.screen()
 
 
-def screen_all(bank: Bank, projected: Projected, tell: Tell | None = None) -> Screen:
+def screen_all(bank: Bank, projected: Projected, progress: Progress | None = None) -> Screen:
     """Weigh every candidate by all readings.
 
     Args:
         bank: the candidates; their columns are computed and kept.
         projected: the whitened readings less the current model.
-        tell: progress callback: called with the candidates done and in total.
+        progress: called with the candidates done and in total.
     """
     weighed = _Weighed(bank, projected, None if bank.keep.all() else bank.keep)
     groups = bank.groups()
     total, counted = sum(map(len, groups)), itertools.count()
 
-    def looked(group: Sequence[tuple[int, int]]) -> tuple[Chunk, Looked] | None:
+    def weigh(group: Sequence[tuple[int, int]]) -> tuple[Chunk, WeighedChunk] | None:
         chunk = bank.made(group)
-        if tell:
-            tell(sum(map(len, groups[: next(counted) + 1])), total)
-        return None if chunk is None else (bank.kept(chunk), weighed.look(chunk))
+        if progress:
+            progress(sum(map(len, groups[: next(counted) + 1])), total)
+        return None if chunk is None else (bank.kept(chunk), weighed.weigh(chunk))
 
     bank.chunks = []
-    for found in each(looked, groups, len(projected.left)):
+    for found in each(weigh, groups, len(projected.left)):
         if found is not None:
             bank.chunks.append(found[0])
-            weighed.take(found[1])
+            weighed.append(found[1])
     return weighed.screen()
 
 
@@ -356,7 +356,7 @@ class _Weighed:
             projected, self.bank.candidates, variants, self.directions[:, : self.width], along, found, absorbed
         )
 
-    def look(self, chunk: Chunk) -> Looked:
+    def weigh(self, chunk: Chunk) -> WeighedChunk:
         """Weigh the variants of a chunk; other chunks may be weighed at the same time."""
         first = np.cumsum(chunk.widths) - chunk.widths
         usual = np.concatenate([self.bank.usual[int(i)] for i in chunk.which[:, 0]])
@@ -387,9 +387,9 @@ class _Weighed:
             out.append((variant, (kept[:, part] @ turn).astype(np.float32), products))
         return out
 
-    def take(self, looked: Looked) -> None:
+    def append(self, weighed: WeighedChunk) -> None:
         """Append the result of a chunk to those of earlier chunks."""
-        for variant, directions, products in looked:
+        for variant, directions, products in weighed:
             here = slice(self.width, self.width + variant.count)
             self.variants.append(replace(variant, first=self.width))
             self.directions[:, here] = directions

@@ -390,8 +390,8 @@ def _waves(ground: Ground, projected: Projected, group: str, moving: Sequence[st
     out: list[Weighed] = []
     mask = ground.groups[group]
     for name in moving:
-        tried = (Shape(group, (name,), (0,), float(p)) for p in periods(ground.known[name][mask]))
-        found = weigh_all(ground, projected, tried)
+        waves = (Shape(group, (name,), (0,), float(p)) for p in periods(ground.known[name][mask]))
+        found = weigh_all(ground, projected, waves)
         grown = [
             Shape(group, (name, other), (0, OWN if other == name else OTHER), w.shape.period)
             for w in found[:1]

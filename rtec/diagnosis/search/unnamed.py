@@ -44,8 +44,8 @@ def best_shapes(
     base: Floats,
     noises: Sequence[Whitener],
     fit: Callable[[Floats], Fit],
-    without: Fit,
-    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+    current: Fit,
+    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
 ) -> list[Shaped]:
     """Fit the most promising shapes without a name.
 
@@ -54,43 +54,43 @@ def best_shapes(
         base: columns of the current model, (m, p).
         noises: each gives a screen.
         fit: fits columns and the noise together.
-        without: the fit of the base alone.
-        left_out: relative fall of the mean square on held-out runs, and whitened gain, by columns beside the base.
+        current: the fit of the base alone.
+        held_out_gain: relative fall of the mean square on held-out runs, and whitened gain, by columns beside the base.
 
     Returns:
         Shapes that predict held-out runs better.
     """
     keep = looked_at(readings)
-    few = readings if keep.all() else readings.without(~keep)
+    subset = readings if keep.all() else readings.without(~keep)
     whole = Ground(readings)
-    ground = whole if few is readings else Ground(few)
+    ground = whole if subset is readings else Ground(subset)
 
-    def look(whitener: Whitener) -> list[Weighed]:
-        thin = Whitener(few, whitener.noises, whitener.wides, whitener.least)
-        return all_shapes(ground, Projected.of(thin, base[keep], few.values))
+    def weighed(whitener: Whitener) -> list[Weighed]:
+        thin = Whitener(subset, whitener.noises, whitener.run_variances, whitener.least)
+        return all_shapes(ground, Projected.of(thin, base[keep], subset.values))
 
-    looks = each(look, noises, len(readings))
-    searched = math.log(max(len(looks[0]), 2))
+    screens = each(weighed, noises, len(readings))
+    searched = math.log(max(len(screens[0]), 2))
 
     def shaped(w: Weighed) -> Shaped:
         columns = whole.columns(w.shape)
         found = fit(np.concatenate([base, columns], axis=1))
-        evidence = found.log_likelihood - without.log_likelihood
+        evidence = found.log_likelihood - current.log_likelihood
         local = w.shape.searched if w.shape.place is not None else 0
         evidence -= 0.5 * (w.count + local) * math.log(len(readings)) + searched
-        return Shaped(w.shape, columns, found, evidence, *left_out(found.whitener, columns))
+        return Shaped(w.shape, columns, found, evidence, *held_out_gain(found.whitener, columns))
 
-    return [s for s in each(shaped, _picked(looks), len(readings)) if s.holds]
+    return [s for s in each(shaped, _picked(screens), len(readings)) if s.holds]
 
 
-def _picked(looks: Sequence[Sequence[Weighed]]) -> list[Weighed]:
+def _picked(screens: Sequence[Sequence[Weighed]]) -> list[Weighed]:
     """The best shapes of each screen that are likelier than nothing.
 
     Complex shapes win where the drift is assumed small, and lose again with the re-estimated noise. So some simple
     shapes are always kept.
     """
     picked: dict[tuple[str, tuple[str, ...], str, int], Weighed] = {}
-    for weighed in looks:
+    for weighed in screens:
         likely = [w for w in weighed if w.log_evidence > 0.0]
         for most, few in ((RICH, SHAPES), (LEAN, SHAPES // 2), (PLAIN, SHAPES // 2)):
             fresh = 0
@@ -119,7 +119,7 @@ def without_idle(
     readings: Readings,
     base: Floats,
     fit: Callable[[Floats], Fit],
-    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
 ) -> Shaped:
     """The best shape, or one of only one of its variables where the other does not improve held-out runs.
 
@@ -128,22 +128,22 @@ def without_idle(
         others: the other refitted shapes.
         readings: the readings.
         base: columns of the current model, (m, p).
-        fit, left_out: as for `best_shapes`.
+        fit, held_out_gain: as for `best_shapes`.
     """
     ground = Ground(readings)
     if len(top.shape.variables) < 2:
-        return _instead_of_time(top, ground, base, fit, left_out)
+        return _instead_of_time(top, ground, base, fit, held_out_gain)
     alone = [t for t in others if t.shape.group == top.shape.group and len(t.shape.variables) == 1]
     found = [t for t in alone if t.shape.variables[0] in top.shape.variables]
     for name in top.shape.over:
         shape = Shape(top.shape.group, (name,), (FINE,))
         columns = ground.columns(shape)
         made = fit(np.concatenate([base, columns], axis=1))
-        found.append(Shaped(shape, columns, made, top.log_evidence, *left_out(made.whitener, columns)))
+        found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
     best = max(found, key=lambda t: t.drop)
     if 1.0 - best.drop > (1.0 + LOSES) * (1.0 - top.drop):
         return top
-    return _instead_of_time(best, ground, base, fit, left_out)
+    return _instead_of_time(best, ground, base, fit, held_out_gain)
 
 
 RISES, AS_GOOD = 0.9, 0.6
@@ -156,7 +156,7 @@ def _instead_of_time(
     ground: Ground,
     base: Floats,
     fit: Callable[[Floats], Fit],
-    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
 ) -> Shaped:
     """A temperature that rises with time in place of time where it explains about as much: time itself is no cause.
 
@@ -177,7 +177,7 @@ def _instead_of_time(
         columns = ground.columns(shape)
         made = fit(np.concatenate([base, columns], axis=1))
         if made.log_likelihood - without > AS_GOOD * (top.fit.log_likelihood - without):
-            found.append(Shaped(shape, columns, made, top.log_evidence, *left_out(made.whitener, columns)))
+            found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
     return max(found[1:], key=lambda t: t.fit.log_likelihood, default=top)
 
 

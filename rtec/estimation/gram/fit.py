@@ -135,7 +135,7 @@ def estimate(
         sources: measurements; their weights exclude readings from the start.
         terms: with parameters.
         search: whether parameters are searched or stay constant.
-        progress: progress callback: called with the readings done and in total, for each pass.
+        progress: called with the readings done and in total, for each pass.
 
     Raises:
         ModelError: too few readings, a term that no reading shows, or terms that cannot be distinguished.

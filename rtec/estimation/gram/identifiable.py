@@ -28,8 +28,8 @@ def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
         )
     sets = []
     for owners, nuisances in blind_sets(normal):
-        said = names(terms, owners)
-        sets.append(", ".join([*([said] if said else []), *nuisances]))
+        listed = names(terms, owners)
+        sets.append(", ".join([*([listed] if listed else []), *nuisances]))
     if any(sets):
         raise ModelError(
             "\n".join(

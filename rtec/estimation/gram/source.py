@@ -263,8 +263,8 @@ def _still(varied_k: dict[str, float]) -> list[str]:
     if not varied_k:
         return []
     are = "is" if len(varied_k) == 1 else "are"
-    said = ", ".join(f"{name} ({k:.2f} K)" for name, k in varied_k.items())
-    return [f"{said} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"]
+    listed = ", ".join(f"{name} ({k:.2f} K)" for name, k in varied_k.items())
+    return [f"{listed} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"]
 
 
 def lags_s(sources: Sequence[Source]) -> list[float]:

@@ -259,7 +259,7 @@ def gather(
     Args:
         sources: measurements.
         terms: give the columns.
-        progress: progress callback: called with the readings done and in total.
+        progress: called with the readings done and in total.
         by_fold: join blocks that are held out together, also those of several sources: this suffices for a held-out
             error, and takes a small part of the memory.
     """
