@@ -1,7 +1,9 @@
 """What people read uses the field's terms: help pages, texts in the code, README, docs. Oracle: the list of words."""
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -53,6 +55,16 @@ def literals(source: str) -> Iterator[str]:
             yield node.value
 
 
+def explanations(source: str) -> Iterator[tuple[int, str]]:
+    """Every docstring of a module, those of constants too, and every comment; each with its line."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+
+
 def commands() -> Iterator[tuple[str, str]]:
     """Name and help of every command, with those of its options."""
     todo = [("rtec", get_command(application()))]
@@ -84,4 +96,17 @@ def test_texts_in_the_code(folder: tuple[str, ...]) -> None:
     """Oracle: the list."""
     own = [p for p in CODE if p.relative_to(ROOT).parts[:2] == folder]
     found = [(str(p), f) for p in own for text in literals(p.read_text(encoding="utf-8")) for f in faults(text)]
+    assert not found
+
+
+@pytest.mark.parametrize("folder", sorted({p.relative_to(ROOT).parts[:2] for p in CODE}), ids="/".join)
+def test_docstrings_and_comments(folder: tuple[str, ...]) -> None:
+    """Oracle: the list."""
+    own = [p for p in CODE if p.relative_to(ROOT).parts[:2] == folder]
+    found = [
+        f"{p.relative_to(ROOT)}:{line}: {fault}"
+        for p in own
+        for line, text in explanations(p.read_text(encoding="utf-8"))
+        for fault in faults(text)
+    ]
     assert not found

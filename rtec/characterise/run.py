@@ -127,7 +127,7 @@ def _without_moved_zeros(given: Clean) -> tuple[Clean, Warn | None]:
         off[m.readings] = m.by
     were = "it was" if len(moved) == 1 else "they were"
     text = f"{'; '.join(m.message.rstrip('?') for m in moved)} ({were} left out of the fit)"
-    return given.less(off, "in a run whose zero has moved"), Warn("moved_zero", text, STEP)
+    return given.rejecting(off, "in a run whose zero has moved"), Warn("moved_zero", text, STEP)
 
 
 def _fit(

@@ -1,6 +1,6 @@
-"""The record itself in doubt: what must be put right, or measured otherwise, before an effect is blamed.
+"""Doubts about the record: what to correct, or to measure differently, before an effect is blamed.
 
-Each doubt comes with the next step. Those that are `fatal` stand before every answer, and no effect is named beside a
+Each doubt has a next step. Those that are `fatal` precede every answer, and no effect is named beside a
 contradiction.
 """
 
@@ -54,30 +54,30 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
 )
 """Doubts beside which no effect of the machine is named."""
 DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets"}
-"""Doubts beside which it stays open whether an effect is missing."""
+"""Doubts beside which it is undetermined whether an effect is missing."""
 
 BETTER = 0.5
-"""An edit of the record is proposed where it leaves less than this share of the residual,"""
+"""An edit of the record is proposed where its residual is below this share of the current one,"""
 NEAR_FLOOR, ABOVE = 1.25, 1.5
-"""and no more than so many times the noise; it is asked only where the model leaves more than so many times that."""
+"""and at most this many times the noise; edits are tried only where the residual exceeds this many times that."""
 NEAR_REFIT = 1.15
-"""Or, of a factor, no more than so many times what the model leaves with its own numbers refitted."""
+"""Or, for a factor, at most this many times the residual with the model's own numbers refitted."""
 BY_FAR = 0.1
-"""Or, of a factor, no more than this share of the residual: numbers that are out of date as well leave the rest."""
+"""Or, for a factor, at most this share of the residual: out-of-date numbers may cause the rest."""
 SHIFT, SHIFTS = 0.25, 101
-"""How far an origin may have moved, as a share of the travel, and how many places are tried."""
+"""How far an origin may have moved, as a share of the travel, and number of places in the grid."""
 AS_GOOD = 1.1
-"""What leaves less than so many times the residual of another explanation does as well."""
+"""An explanation whose residual is within this factor of another's is equally good."""
 THIN = 200
-"""Readings by which the place is looked for first, at the least."""
+"""Fewest readings for the first search of the place."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
 BEYOND = 0.05
-"""Share of the travel by which a position may lie beyond it."""
+"""Share of the travel by which a position may exceed it."""
 FLAT, MUCH = 1.5, 5.0
-"""Readings of less than so many times the noise are flat; a model that says more than so many times has much to say."""
+"""Readings below this many times the noise are flat; a prediction above this many times it is large."""
 DISAGREES, INSIDE = 3.0, 0.2
-"""A model that leaves so many times what it left of the readings of its fit disagrees with a file, by what was read in
-the range of these: at least this share of the file."""
+"""A model disagrees with a file where its residual is this many times that of its fit, on readings in the range of the
+fit: at least this share of the file."""
 FEW_RUNS = 4
 
 
@@ -86,10 +86,10 @@ class Doubt:
     """A reason to doubt the record.
 
     Attributes:
-        kind: which.
+        kind: kind of the doubt.
         message: in words.
-        next_step: what to do.
-        fatal: whether it stands before every answer.
+        next_step: what the user should do.
+        fatal: whether it precedes every answer.
     """
 
     kind: Kind
@@ -109,16 +109,16 @@ class Doubt:
 
 
 def doubts(judged: Judgement) -> tuple[Doubt, ...]:
-    """All doubts about the readings of a model, those that stand before every answer first."""
+    """All doubts about the readings of a model, fatal ones first."""
     readings = judged.readings
     measured, predicted = (floor.cleaned(readings, v) for v in (readings.values, judged.base.predicted))
     edited = _edited_records(judged)
     found = [
-        Doubt("wrong_scale", said, "Correct the file first.", fatal=True)
-        for said in odd_scales(readings, measured, predicted)
+        Doubt("wrong_scale", fault, "Correct the file first.", fatal=True)
+        for fault in odd_scales(readings, measured, predicted)
     ]
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
-        found = []  # a channel is wrong, and what is predicted with it
+        found = []  # a channel is wrong, and so is the prediction
     if not found and (odd := contradiction(judged)) is not None:
         step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}."
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
@@ -137,16 +137,16 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
 
 
 def _disagree(judged: Judgement) -> list[Doubt]:
-    """Files of which the model leaves far more than it left of the readings of its fit, in the same range."""
+    """Files whose residual is far larger than that of the model's fit, in the same range."""
     model, readings = judged.model, judged.readings
     steps = [s for s in steps_of(model) if s["unit"] == judged.unit != "noise"]
     if not steps or not model.measurements:
         return []
     unit, fitted = "µrad" if judged.unit == "urad" else "µm", float(steps[-1]["error"])
-    said = floor.rms_by_series(readings, judged.base.predicted)
+    predicted_rms = floor.rms_by_series(readings, judged.base.predicted)
     out = []
     for i, m in enumerate(readings.measurements):
-        mine = [k for k, s in enumerate(readings.series) if s.source == i and said[k] > 0.0]
+        mine = [k for k, s in enumerate(readings.series) if s.source == i and predicted_rms[k] > 0.0]
         inside = _in_range(model, readings.states[i])
         if m.fingerprint in model.measurements.values() or not mine or float(inside.mean()) < INSIDE:
             continue
@@ -169,7 +169,7 @@ def _disagree(judged: Judgement) -> list[Doubt]:
 
 
 def _in_range(model: Model, state: State) -> NDArray[np.bool_]:
-    """Which instants are where the model was fitted, (n,)."""
+    """Which instants are in the range of the model's fit, (n,)."""
     out = np.ones(len(state), dtype=np.bool_)
     for name, (low, high) in model.valid_range.items():
         if name in state.channels:
@@ -187,15 +187,16 @@ def _moves(readings: Readings, s: Series) -> bool:
 
 
 def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[Doubt]:
-    """Series that are flat where the model says much: the loop was on while they were read. A display that stands
-    still is none of them.
+    """Series that are flat where the model predicts much: the loop was on while they were read.
+
+    A display that never changed is not one of them.
     """
     out = []
     for s, noise in zip(judged.readings.series, judged.floors, strict=True):
-        read, said = (float(np.sqrt(np.mean(v[s.part] ** 2))) for v in (measured, predicted))
-        if _moves(judged.readings, s) and read < FLAT * noise.value and said > MUCH * max(noise.value, read):
+        read, modelled = (float(np.sqrt(np.mean(v[s.part] ** 2))) for v in (measured, predicted))
+        if _moves(judged.readings, s) and read < FLAT * noise.value and modelled > MUCH * max(noise.value, read):
             message = (
-                f"{_name(judged.readings, s)} is flat ({read:.2g} µm) where the model says {said:.2g} µm: was the "
+                f"{_name(judged.readings, s)} is flat ({read:.2g} µm) where the model says {modelled:.2g} µm: was the "
                 "correction on while it was measured?"
             )
             step = "Put the inserted corrections back into the readings, or measure with the correction held at zero."
@@ -204,41 +205,41 @@ def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[D
 
 
 def _edited_records(judged: Judgement) -> "_Edit | None":
-    """What could be wrong with the recorded channels: the edit of the record with which the model fits far better."""
+    """The likeliest fault of the recorded channels: the edit of the record with which the model fits far better."""
     moves = any(_moves(judged.readings, s) for s in judged.readings.series)
     if judged.residual < ABOVE * judged.noise_floor or not moves:
         return None
     few = judged.readings.without(~looked_at(judged.readings))
     edits = _Edits(judged.model, few, judged.scale)
-    found = min(edits.tried(), key=lambda e: e.residual, default=None)
+    found = min(edits.possible(), key=lambda e: e.residual, default=None)
     if found is None:
         return None
     near = NEAR_FLOOR * _whole_noise(judged)
     if found.kind == "wrong_channel":
-        # A refit of the numbers makes up for a factor.
+        # A refit of the numbers compensates a factor.
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     return found if found.residual <= min(BETTER * judged.residual, near) else None
 
 
 def _left_by_scale(judged: Judgement, measured: Floats, predicted: Floats) -> float:
-    """What the model would leave at best if the readings were in another unit, in the unit that they have."""
+    """Least residual of the model if the readings were in another unit, in the unit that they have."""
     by_series = []
     for s in judged.readings.series:
-        mine, said = measured[s.part], predicted[s.part]
-        factor = float(mine @ said) / max(float(said @ said), 1e-300)
-        by_series.append(float(np.sqrt(np.mean((mine - factor * said) ** 2))))
+        mine, modelled = measured[s.part], predicted[s.part]
+        factor = float(mine @ modelled) / max(float(modelled @ modelled), 1e-300)
+        by_series.append(float(np.sqrt(np.mean((mine - factor * modelled) ** 2))))
     return floor.pooled(judged.readings, np.array(by_series), judged.scale)
 
 
 def _whole_noise(judged: Judgement) -> float:
-    """Root mean square of the noise with the slow drift that no channel explains."""
+    """Root mean square of the noise together with the slow drift that no channel explains."""
     whole = np.array([math.hypot(f.value, f.drift) for f in judged.floors])
     return floor.pooled(judged.readings, whole, judged.scale)
 
 
 @dataclass(frozen=True)
 class _Edit:
-    """An edit of the recorded channels, and what the model leaves with it."""
+    """An edit of the recorded channels, and the residual of the model with it."""
 
     residual: float
     kind: Kind
@@ -248,7 +249,7 @@ class _Edit:
     fatal: bool = True
 
     def doubt(self, before: float) -> Doubt:
-        """The doubt in words, where the model leaves so much as it stands."""
+        """The doubt in words; `before` is the residual without the edit."""
         message = f"with {self.edit} the model leaves {self.residual:.2g} instead of {before:.2g}: {self.suspect}."
         if not self.fatal:
             message = f"{message[:-1]}, unless something that grows shifts the readings as much."
@@ -266,19 +267,19 @@ class _Edits:
 
     @cached_property
     def _thin(self) -> "_Edits":
-        """The same for a first look along a grid, at fewer readings."""
+        """The same with fewer readings, for a first search on a grid."""
         keep = np.arange(len(self.readings)) % max(len(self.readings) // THIN, 1) == 0
         return self if keep.all() else _Edits(self.model, self.readings.without(~keep), self.scale)
 
-    def tried(self) -> list[_Edit]:
-        """Every edit that can be made here."""
+    def possible(self) -> list[_Edit]:
+        """Every edit that is possible here."""
         return [*self._factors(), *self._exchanged(), *self._moved()]
 
     def residuals(self, edits: Sequence[Mapping[str, Callable[[State], Floats]]]) -> Floats:
-        """Root mean square of the residual with some channels replaced, (edits,); infinite where that cannot be.
+        """Root mean square of the residual with some channels replaced, (edits,); infinite where that is impossible.
 
         Args:
-            edits: of each, what takes the place of a channel, from the state of a measurement.
+            edits: of each, the replacement of a channel, from the state of a measurement.
         """
         out, kept = np.full(len(edits), np.inf), [self._left(e) for e in edits]
         there = [i for i, left in enumerate(kept) if left is not None]
@@ -290,7 +291,7 @@ class _Edits:
         return out
 
     def _left(self, channels: Mapping[str, Callable[[State], Floats]]) -> Floats | None:
-        """What the model leaves with some channels replaced, (m,); None where that cannot be."""
+        """Residual of the model with some channels replaced, (m,); None where that is impossible."""
         states = []
         for state in self.readings.states:
             if any(c not in state.channels for c in channels):
@@ -327,7 +328,7 @@ class _Edits:
                 yield _Edit(float(residual), "wrong_channel", f"{channel} read as °F", suspect, check)
 
     def _within_travel(self, channel: str, factor: float) -> bool:
-        """Whether a position times a factor is where the axis can be; true of all other channels."""
+        """Whether a position times a factor is within the travel; true of all other channels."""
         axis = next((a for a in self.model.machine.axes if a.channel == channel), None)
         if axis is None:
             return True
@@ -373,7 +374,7 @@ class _Edits:
             yield _Edit(found, "moved_origin", edit, suspect, f"the origin of {axis.name}", fatal=apart)
 
     def _room(self, axis: Axis) -> tuple[float, float]:
-        """How far an origin may have moved, at the least and at the most, mm: positions stay within the travel."""
+        """Smallest and largest shift of an origin, mm: positions stay within the travel."""
         low, high = axis.travel_mm
         reach, beyond = SHIFT * (high - low), BEYOND * (high - low)
         places = np.concatenate([s.channels[axis.channel] for s in self.readings.states])
@@ -381,9 +382,9 @@ class _Edits:
         return max(-reach, low - beyond - first), min(reach, high + beyond - last)
 
     def _shifted(self, axis: Axis) -> float:
-        """Root mean square of the residual beside shifts that follow what the model reads along an axis.
+        """Root mean square of the residual beside shifts proportional to the model's prediction along an axis.
 
-        A part that grows where the axis is mounted shifts the readings as another origin does.
+        Growth of a part at the mount of the axis shifts the readings as another origin does.
         """
         here = [f.effect.channels(self.model.machine) for f in self.model.effects]
         names = sorted(
@@ -400,7 +401,7 @@ class _Edits:
 
 
 def _few_runs(readings: Readings) -> list[Doubt]:
-    """Files that are read in runs, of which there are too few to hold any out."""
+    """Files with runs, too few to hold any out."""
     out = []
     for s in readings.series:
         runs = int(s.run[-1]) + 1

@@ -1,4 +1,4 @@
-"""Heat that no sensor, or the wrong one, recorded: what a slow residual and a thermal finding leave open."""
+"""Heat that no sensor, or the wrong one, recorded: doubts about a slow residual and about a thermal finding."""
 
 import itertools
 import math
@@ -13,20 +13,20 @@ from rtec.effects import Effect
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
 from rtec.estimation.gls import Fit, without_runs
-from rtec.estimation.noise import Whitener, found_on_stretches, minutes
+from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
 from rtec.wording import number
 
 Floats = NDArray[np.float64]
 
 INSTRUMENT = 5.0
-"""What an instrument drifts by at the most while it warms up, µm or µrad, as the catalogue of effects has it."""
+"""Largest drift of an instrument that warms up, µm or µrad, as in the catalogue of effects."""
 WARM, OFF = (0.03, 0.06, 0.12, 0.2, 0.35, 0.6, 3.0), (math.inf, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""Time constants, and when it was switched off, as shares of the record; searched for."""
+"""Grid of time constants, and of the time of switching off, as shares of the record."""
 SLOW_S, RECORD_S = 600.0, 3600.0
-"""A drift with at least so long a memory, in a record of at least so long, may be heat."""
+"""A drift with at least this memory, in a record of at least this length, may be heat."""
 LARGE = 1.0
-"""Where it is at least so many times the white noise."""
+"""Where it is at least this many times the white noise."""
 BODIES = {
     "axis_expansion": (("screw", "nut", "scale"), "on the screw, nut or scale of {axis}"),
     "axis_expansion_nonuniform": (("screw", "nut", "scale"), "on the screw, nut or scale of {axis}"),
@@ -34,20 +34,20 @@ BODIES = {
     "spindle_growth": (("spindle", "bearing", "head"), "on the spindle or its bearings"),
     "spindle_tilt": (("spindle", "bearing", "head"), "on the spindle or its bearings"),
 }
-"""What a sensor should be on for an effect to be its own: words in its name, and the place in words."""
+"""Where a sensor should be for an effect to be direct: words in its name, and the place in words."""
 PAUSE_S, LONG_PAUSE = 120.0, 0.2
-"""A pause of so long, and of so many time constants, is one that a lag remembers."""
+"""A lag remembers a pause of at least this length, and of this many time constants."""
 MUCH_WARMER = 5.0
-"""Kelvin between the medians of files from which on they are cold and warm ones."""
+"""From this difference of the medians of files on, in K, one file is cold and the other warm."""
 UNITS = {"um": "µm", "urad": "µrad"}
 
 
-def stands_for(readings: Readings, effect: Effect) -> Doubt | None:
-    """That a sensor stands for a body that no recorded sensor is on; None where one is, or the effect has none.
+def substitute_sensor(readings: Readings, effect: Effect) -> Doubt | None:
+    """Doubt where a sensor represents a body without a sensor; None where the body has one, or the effect has none.
 
     Args:
         readings: the readings.
-        effect: that was named.
+        effect: the named one.
     """
     sensor = getattr(effect, "sensor", None)
     if sensor is None or effect.effect not in BODIES:
@@ -64,31 +64,31 @@ def stands_for(readings: Readings, effect: Effect) -> Doubt | None:
 
 
 def lag_assumed(readings: Readings, effect: Effect, theta: Mapping[str, float]) -> tuple[str, ...]:
-    """What an effect that lags takes for granted where nothing was recorded; empty for one that does not lag.
+    """Assumptions of a delayed effect where nothing was recorded, in words; empty for an immediate one.
 
     Args:
         readings: the readings.
-        effect: that was named.
+        effect: the named one.
         theta: its non-linear parameters.
     """
     names = [n for n in effect.channels(readings.machine) if n == "spindle_rpm" or n in readings.machine.sensor_names]
     if "tau" not in theta or not names:
         return ()
     pause = max(float(np.diff(s.time_s).max(initial=0.0)) for s in readings.series)
-    said = f"{effect.effect} lags by {minutes(theta['tau'])}: {' and '.join(names)} counted as settled before the first"
-    said += " reading"
+    text = f"{effect.effect} lags by {minutes(theta['tau'])}: {' and '.join(names)} counted as settled before the first"
+    text += " reading"
     if pause > max(PAUSE_S, LONG_PAUSE * theta["tau"]):
-        said += f", and as a straight line over pauses (up to {minutes(pause)}), of which the record says nothing"
-    return (said,)
+        text += f", and as a straight line over pauses (up to {minutes(pause)}), of which the record says nothing"
+    return (text,)
 
 
 def warm_up_curves(readings: Readings, effect: Effect, part: Floats) -> Sequence[Floats]:
-    """How an instrument itself may warm up, and cool down once it is off, where an effect may be no more than that.
+    """Warm-up curves of an instrument, and its cooling once it is off, where they may explain an effect.
 
     Args:
         readings: the readings.
-        effect: that explains them; what depends on a position is no instrument's.
-        part: what it adds to the readings, (m,).
+        effect: it explains the readings; an effect that depends on a position is no instrument's.
+        part: its contribution to the readings, (m,).
 
     Returns:
         A column for each series that the effect moves, for each time constant, (m, series); none where it is too large.
@@ -102,7 +102,7 @@ def warm_up_curves(readings: Readings, effect: Effect, part: Floats) -> Sequence
 
 
 def _warming(readings: Readings, s: Series, warm: float, off: float) -> Floats:
-    """One exponential from the first reading on, and back from when it is off, (m,)."""
+    """One exponential from the first reading on, and back from the time of switching off, (m,)."""
     out = np.zeros(len(readings))
     share = (s.time_s - s.time_s[0]) / max(float(s.time_s[-1] - s.time_s[0]), 1e-9)
     risen = 1.0 - np.exp(-np.minimum(share, off) / warm)
@@ -111,10 +111,10 @@ def _warming(readings: Readings, s: Series, warm: float, off: float) -> Floats:
 
 
 def only_between_files(readings: Readings, effect: Effect) -> Doubt:
-    """That an effect explains only what differs between files; fatal unless a temperature differs there by much.
+    """Doubt where an effect explains only differences between files; fatal unless a temperature differs much there.
 
-    Cold on one day and warm on another is a way to measure an expansion. Where both days were nearly as warm, a machine
-    that has changed between them is as likely.
+    Two days, one cold and one warm, are a way to measure an expansion. Where both were nearly as warm, a change of the
+    machine between them is as likely.
     """
     machine = readings.machine
     read = [n for n in machine.sensor_names if n in effect.channels(machine)]
@@ -131,11 +131,11 @@ def only_between_files(readings: Readings, effect: Effect) -> Doubt:
 
 
 def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> Doubt | None:
-    """That an effect stands for one that the model has by a sensor that stood still; None where none did.
+    """Doubt where an effect may replace one of the model whose sensor was dead; None where no sensor was.
 
     Args:
         readings: the readings.
-        effect: that would be named.
+        effect: the candidate for a name.
         known: effects of the model.
     """
     mine = getattr(effect, "sensor", None)
@@ -155,7 +155,7 @@ def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> 
 
 
 def own_warm_up(effect: Effect) -> Doubt:
-    """That an instrument that warms up by itself draws the curve of an effect as well."""
+    """Doubt that the warm-up of an instrument itself gives the same curve as an effect."""
     message = (
         f"{label_of(effect)} explains the residual no better than an instrument that warms up by itself from its first "
         "reading on."
@@ -165,14 +165,14 @@ def own_warm_up(effect: Effect) -> Doubt:
 
 
 def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None) -> Doubt | None:
-    """That the residual grows and falls over hours, unexplained by anything recorded; None where it does not.
+    """Doubt where the residual grows and falls over hours, unexplained by any recorded channel; None where it does not.
 
     Args:
         readings: the readings.
-        fit: of the model, with the effect that is named.
-        named_um: what the effect that is named explains (root mean square), where that is no heat; the doubt is raised
-            beside it if more grows and falls, and no smooth dependence on positions, directions, speeds and load
-            explains that. None where nothing is named: then it is raised if no temperature varied.
+        fit: of the model, with the named effect.
+        named_um: contribution of the named effect (root mean square), where that is no heat; the doubt is raised
+            beside it if more grows and falls, and no smooth function of positions, directions, speeds and load explains
+            that. None where nothing is named: then it is raised if no temperature varied.
     """
     machine = readings.machine
     if named_um is None and _temperature_varied(readings):
@@ -181,7 +181,7 @@ def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None)
     if slow <= (named_um or 0.0):
         return None
     if named_um is not None:
-        noise = found_on_stretches(readings, lambda few, keep: flexible_columns(few, fit.columns[keep], warm=False))
+        noise = noise_on_stretches(readings, lambda few, keep: flexible_columns(few, fit.columns[keep], warm=False))
         slow, memory, s = max((_slow(fit, noise, i) for i in range(len(readings.series))), key=lambda f: f[0])
         if slow <= named_um:
             return None
@@ -197,10 +197,10 @@ def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None)
 
 
 def _slow(fit: Fit, noise: Whitener, number: int) -> tuple[float, float, Series]:
-    """Root mean square of what grows and falls slowly in a series, its memory in s, and the series; 0 where none does.
+    """Root mean square of the slow part of a series, its memory in s, and the series; 0 where there is none.
 
     Args:
-        fit: whose residual it is.
+        fit: the residual is this fit's.
         noise: of that residual.
         number: of the series.
     """
@@ -209,7 +209,7 @@ def _slow(fit: Fit, noise: Whitener, number: int) -> tuple[float, float, Series]
     long = float(s.time_s[-1] - s.time_s[0]) >= RECORD_S and n.tau_s >= SLOW_S
     if not long or slow <= LARGE * n.sigma:
         return 0.0, n.tau_s, s
-    # A drift of long memory may swing further than it did in this record.
+    # A drift of long memory may exceed the range that it had in this record.
     residual = without_runs(s, fit.left[s.part])
     return min(slow, float(np.sqrt(np.mean((residual - residual.mean()) ** 2)))), n.tau_s, s
 

@@ -1,4 +1,4 @@
-"""Finds the machine file that a model was made for, where nobody names it."""
+"""Finds the machine file of a model where none is given."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,11 +26,11 @@ def load_with_machine(model: Path, machine: Path | None = None) -> Model:
 
 
 def machine_file(model: Path, machine: Path | None = None) -> Path:
-    """Give the machine file of a model.
+    """The machine file of a model.
 
     Args:
         model: file.
-        machine: taken where given; where None it is the one that the model names (`machine_file`), or is looked for
+        machine: taken where given; where None it is the one that the model names (`machine_file`), or is searched
             by its content beside the model, in `machines` beside it or one folder up, and in `configs/machines` of
             the working directory.
 
@@ -51,8 +51,8 @@ def machine_file(model: Path, machine: Path | None = None) -> Path:
         try:
             here = load_machine(file)
         except RtecError:
-            continue  # some other file, or one that is no machine's
-        # Without a hash the model is for whichever machine it is used with: the one that it names.
+            continue  # not a machine file
+        # A model without a hash fits any machine that it is used with: take the one that it names.
         if here.hash == wanted or (not wanted and (file in files or here.name == name)):
             return file
     at = f"at machine_file = {named!r}, " if files else ""
@@ -63,13 +63,13 @@ def machine_file(model: Path, machine: Path | None = None) -> Path:
 
 
 def _shown(file: Path) -> Path:
-    """A path that is short to read: from the working directory where the file is below it."""
+    """The shortest form of a path: relative to the working directory where the file is below it."""
     file = file.resolve()
     return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
 
 def _candidates(model: Path) -> Iterator[Path]:
-    """Files that look like a machine's, nearest first."""
+    """Files that may be a machine's, nearest first."""
     places = [model.resolve().parent / f for f in FOLDERS[:4]] + [Path(FOLDERS[4])]
     for folder in dict.fromkeys(p.resolve() for p in places):
         for file in sorted(folder.glob("*.toml")) if folder.is_dir() else []:

@@ -1,4 +1,4 @@
-"""What a diagnosis says: verdict, candidates with their evidence, what was absent, what could not be tested."""
+"""Result of a diagnosis: verdict, candidates with their evidence, absent effects, untestable effects."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,14 +16,14 @@ from rtec.result import Result
 Floats = NDArray[np.float64]
 
 REFIT = 0.8
-"""A model whose numbers, fitted anew, leave less than this share of what is left is out of date."""
+"""A model is out of date where a refit of its numbers leaves less than this share of its residual."""
 
 Verdict = Literal["nothing_missing", "undecided", "missing_effect", "ambiguous", "unknown_effect"]
 
 
 @dataclass(frozen=True)
 class Number:
-    """A fitted number; `se` is None where it is not known."""
+    """A fitted number; `se` is its standard error, None where the data do not determine it."""
 
     value: float
     se: float | None
@@ -32,14 +32,14 @@ class Number:
 
 @dataclass(frozen=True)
 class Alike:
-    """Another candidate that these readings cannot tell from this one.
+    """Another candidate that these readings cannot distinguish from this one.
 
     Attributes:
-        effect, component: which.
+        effect, component: of the candidate.
         why: in words.
-        separating_test: experiment that tells them apart.
+        separating_test: experiment that separates them.
         label: short name with what it depends on, such as its sensor.
-        gain: expected log Bayes factor of that experiment; None where it was not worked out.
+        gain: expected log Bayes factor of that experiment; None where it was not computed.
         apart: it explains another part of the readings: no rival, but maybe missing as well.
     """
 
@@ -60,23 +60,23 @@ def label_of(effect: Effect) -> str:
 
 @dataclass(frozen=True)
 class Finding:
-    """One candidate, by how well the readings speak for it.
+    """One candidate, with its evidence.
 
     Attributes:
         rank: 1 is the best.
         effect: with its arguments.
         theta: its non-linear parameters.
         parameters: every number with its standard error, coefficients first.
-        heldout_drop: relative fall of the residual's mean square on runs that were not used for the fit.
+        heldout_drop: relative fall of the residual's mean square on held-out runs.
         confidence: posterior probability among all candidates and "none".
         log_evidence: gain in log evidence over the current model.
-        p: family-wise probability that chance alone would look as good.
-        size_um: root mean square of what it adds to the readings, in the unit of the measurements (`Diagnosis.unit`).
-        accepted: passed every check.
-        group: shares rank 1's group: these readings cannot tell it from rank 1.
-        confused_with: with what else it may be confused, and the test that separates.
+        p: family-wise probability that noise alone would look as good.
+        size_um: root mean square of its contribution to the readings, in the unit of the diagnosis (`Diagnosis.unit`).
+        accepted: whether it passed every check.
+        group: shares rank 1's group: these readings cannot distinguish it from rank 1.
+        confused_with: effects that are confounded with it, and the tests that separate them.
         why_not: why it was not accepted or not preferred, in words; empty for rank 1 when accepted.
-        partner: a second effect that has to be added with it, as neither makes runs left out better alone.
+        partner: a second effect that has to be added with it, as neither alone predicts held-out runs better.
     """
 
     rank: int
@@ -106,11 +106,11 @@ class NotTestable:
     """An effect that these measurements could not have shown, or only if it were far larger than usual.
 
     Attributes:
-        effect, component: which; an empty component stands for all.
+        effect, component: of the effect; an empty component means all.
         why: what was never moved or recorded.
         test: the measurement that would show it.
-        usual: root mean square that it makes in these readings where it has its usual size; None where it makes none.
-        smallest: root mean square from which on it would have been seen; None where it never would.
+        usual: root mean square of its usual size in these readings; None where it has no effect on them.
+        smallest: smallest root mean square that would have been detected; None where none would.
     """
 
     effect: str
@@ -123,11 +123,11 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class Absent:
-    """An effect that was looked for and not found.
+    """An effect that was searched and not detected.
 
     Attributes:
-        effect, component: which.
-        smallest: the smallest size that would have been seen, in `unit`, root mean square in the readings.
+        effect, component: of the effect.
+        smallest: the smallest size that would have been detected, in `unit`, root mean square in the readings.
         unit: "um" or "urad".
     """
 
@@ -139,19 +139,19 @@ class Absent:
 
 @dataclass(frozen=True)
 class Unknown:
-    """Structure that no effect of the catalogue explains.
+    """Structure of the residual that no effect of the catalogue explains.
 
     Attributes:
-        component: where it acts, as the readings see it; empty where several are as good.
+        component: where it acts, as the readings see it; empty where several are equally good.
         channels: variables that it depends on.
         shape: "smooth", "periodic" or "steps".
         period: of a periodic one, with its unit; None otherwise.
-        p: family-wise probability of it by chance.
-        r2: share of the residual's variance that it explains on runs left out.
-        where: where along its channels it is, in words; empty where there is nothing to say.
-        with_time: the channel rises with time in this record, so that a drift would look alike.
+        p: family-wise probability of it by noise alone.
+        r2: share of the residual's variance that it explains on held-out runs.
+        where: place along its channels, in words; empty where there is nothing to report.
+        with_time: the channel rises with time in this record, so that a drift would look the same.
         step_mm: of equal steps between the targets; None where they are not equal, or it is no wave along an axis.
-        aliases_mm: other periods that targets at these steps show alike.
+        aliases_mm: other periods that targets at these steps cannot distinguish from it.
         expression, parameters, feeds: the nearest simple expression for `rtec add`, as `--expr`, `--param` and
             `--component` take them; empty where there is none.
     """
@@ -173,12 +173,12 @@ class Unknown:
 
 @dataclass(frozen=True)
 class RunsDiffer:
-    """Runs that differ by more than the noise of their readings, where too few of them decide what does it.
+    """Runs that differ by more than the noise of their readings, but are too few to determine the cause.
 
     Attributes:
         size: standard deviation of the runs' means beyond the noise, in the unit of the diagnosis.
-        count: how many runs.
-        test: what would decide.
+        count: number of runs.
+        test: the measurement that would decide.
     """
 
     size: float
@@ -194,7 +194,7 @@ class Member:
         label: short name.
         effect, component: of the catalogue.
         heldout_drop: share of the mean square on held-out runs that it removes together with those before it.
-        rivals: short names of effects that the readings cannot tell from it beside those before it.
+        rivals: short names of effects that the readings cannot distinguish from it beside those before it.
     """
 
     label: str
@@ -205,14 +205,14 @@ class Member:
 
     @classmethod
     def of(cls, effect: Effect, heldout_drop: float, rivals: Sequence[Effect] = ()) -> "Member":
-        """Name an effect."""
+        """Member for an effect."""
         labels = tuple(dict.fromkeys(map(label_of, rivals)))
         return cls(label_of(effect), effect.effect, effect.component, heldout_drop, labels)
 
 
 @dataclass(frozen=True)
 class OnCircle:
-    """Where the readings of a ball bar are: letters of the plane, sense (+1 ccw, -1 cw), angles, rad, (n,)."""
+    """Angles of a ball bar's readings: letters of the plane, sense (+1 ccw, -1 cw), angles, rad, (n,)."""
 
     letters: tuple[str, str]
     sense: int
@@ -221,20 +221,20 @@ class OnCircle:
 
 @dataclass(frozen=True)
 class Picture:
-    """What a figure needs to show a finding in one reading column, less what the instruments cannot know.
+    """Data of a figure that shows a finding in one reading column, less what the instruments cannot know.
 
     Attributes:
-        label: of the effect, or what an unknown depends on.
+        label: of the effect, or the variables of an unknown.
         unit: "um" or "urad".
         residual: of the current model, refitted without the effect, (n,).
-        part: what the effect explains of it, (n,).
-        drivers: channel, its unit and values (n,); the first is drawn along.
+        part: contribution of the effect to it, (n,).
+        drivers: channel, its unit and values (n,); the first is the horizontal axis.
         period_mm: of a wave along the first; None for anything else.
         direction: last direction of the first driver where it is a position, (n,); None otherwise.
         time_s, run: of each reading, (n,).
         title: the label and the measurement, with its column where it has several.
         others: pictures of the other reading columns that the finding moves most, strongest first.
-        circle: where it is a ball bar.
+        circle: for a ball bar.
     """
 
     label: str
@@ -253,29 +253,29 @@ class Picture:
 
 @dataclass(frozen=True)
 class Diagnosis(Result):
-    """What is missing in a model, as far as these measurements can tell.
+    """What a model is missing, as far as these measurements determine it.
 
     Attributes:
         verdict: see `Verdict`.
         sentence: the answer in one sentence.
         unit: "um"; "urad" where the measurements read angles only; "noise" (multiples of it) where there are both.
-        rms_residual: of readings minus prediction, nuisances taken out.
-        noise_floor: what noise alone would leave.
-        refit: what the model would leave with its own numbers fitted anew to these readings; no more than
+        rms_residual: of readings minus prediction, nuisances projected out.
+        noise_floor: residual of noise alone.
+        refit: residual of the model with its own numbers refitted to these readings; no more than
             `rms_residual` but for rounding.
         adequacy: gain of rank 1 over the best gain of any smooth or periodic model; below 0.7 no effect of the
             catalogue fits.
         findings: best first.
-        unknown: what is left unexplained, if anything.
-        not_testable, absent: what could not be checked, and what was checked and not found.
-        notes: what was done to the data, in words (spikes left out, temperatures smoothed, …).
+        unknown: structure that remains unexplained, if any.
+        not_testable, absent: effects that could not be checked, and effects that were checked and not detected.
+        notes: treatment of the data, in words (rejected readings, smoothed temperatures, …).
         noise: fitted noise by measurement, in words.
-        together: effects that are named together and leave something without a name, which is `unknown`; rank 1 is the
-            first of them.
-        judged: the model as it stands, as every command judges it.
+        together: effects that are named together while part of the residual has no name, which is `unknown`; rank 1
+            is the first of them.
+        judged: the model with its current numbers, judged as in every command.
         doubts: about the record itself.
         picture: of rank 1 or of the unknown, where there is one.
-        runs: of an undecided answer, what the runs differ by; None otherwise.
+        runs: of an undecided answer, the differences between runs; None otherwise.
     """
 
     page_maker: ClassVar[str] = "rtec.report.diagnosis:diagnosis_page"
@@ -302,12 +302,12 @@ class Diagnosis(Result):
 
     @property
     def out_of_date(self) -> bool:
-        """Whether the model's own numbers, fitted anew, would leave clearly less than they do as they stand."""
+        """Whether a refit of the model's own numbers would clearly lower the residual."""
         return self.refit < REFIT * self.rms_residual and self.rms_residual > self.noise_floor / REFIT
 
     @property
     def group(self) -> tuple[Finding, ...]:
-        """Rank 1 and what cannot be told from it, where rank 1 was accepted; empty otherwise."""
+        """Rank 1 and the findings confounded with it, where rank 1 was accepted; empty otherwise."""
         return tuple(f for f in self.findings if f.group and self.findings[0].accepted)
 
     def rows(self) -> list[Mapping[str, Any]]:

@@ -1,4 +1,4 @@
-"""Checks of what can be fitted at all, and of whether an added effect is significant."""
+"""Checks whether a fit is possible at all, and whether an added effect is significant."""
 
 from collections.abc import Sequence
 
@@ -16,11 +16,11 @@ Floats = NDArray[np.float64]
 FEWEST = 10
 """Readings below which a refit would follow the noise."""
 SURE = 2.0
-"""Standard errors that a number must be away from zero to be more than chance."""
+"""Standard errors from zero at which a number is significant."""
 
 
 def check_enough(measurements: Sequence[Measurement], fewest: int = FEWEST) -> None:
-    """Refuse to judge anything by a handful of readings.
+    """Require a minimum number of readings for any judgement.
 
     Raises:
         MeasurementError: there are fewer than that in all measurements together.
@@ -32,7 +32,7 @@ def check_enough(measurements: Sequence[Measurement], fewest: int = FEWEST) -> N
 
 
 def check_finite(fitted: FittedEffect, readings: Readings) -> Floats:
-    """Columns of an effect at the numbers that it starts with, (m, coefficients).
+    """Columns of an effect at its starting numbers, (m, coefficients).
 
     Raises:
         ModelError: some are no numbers, as where an expression divides by zero.
@@ -50,7 +50,7 @@ def check_finite(fitted: FittedEffect, readings: Readings) -> Floats:
 
 
 def unsure(added: Sequence[FittedEffect]) -> tuple[str, ...]:
-    """A sentence for each effect of which no coefficient is clearly other than zero."""
+    """A sentence for each effect without a significant coefficient."""
     out = []
     for f in added:
         known = {n: f.errors[n] for n in f.values if f.errors.get(n, 0.0) > 0.0}

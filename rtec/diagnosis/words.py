@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis in one sentence, and units and channels as people write them.
+"""The verdict of a diagnosis in one sentence, and units and channels in words for people.
 
 Files and JSON keep the codes.
 """
@@ -36,7 +36,7 @@ OF_AXIS = {
 
 
 def spoken(unit: str) -> str:
-    """A unit as people write it: `um_per_m_degc` is µm/(m·K), `degC` °C, and `1` nothing."""
+    """A unit for people: `um_per_m_degc` is µm/(m·K), `degC` °C, and `1` nothing."""
     if unit.endswith("krpm_to_p"):
         return f"{WORDS[unit.split('_', maxsplit=1)[0]]}/(1000/min)^p"
     above, _, below = f"_{unit}".partition("_per_")
@@ -49,7 +49,7 @@ def spoken(unit: str) -> str:
 
 
 def fitted_numbers(f: Finding) -> str:
-    """The first fitted numbers of a candidate with their standard errors and units; without a value where open."""
+    """The first fitted numbers of a candidate with their standard errors and units; no value where undetermined."""
     parts = []
     for name, n in f.parameters.items():
         if n.se is None:  # not determined by these data
@@ -61,7 +61,7 @@ def fitted_numbers(f: Finding) -> str:
 
 
 def titled(channel: str, unit: str = "") -> str:
-    """A channel as the title of an axis of a figure: `x` is "X, mm", `s_y` "distance since Y turned round, mm".
+    """A channel as the title of a figure's axis: `x` is "X, mm", `s_y` "distance since Y turned round, mm".
 
     Args:
         channel: name of the channel.
@@ -78,12 +78,12 @@ def titled(channel: str, unit: str = "") -> str:
 
 
 def named(channel: str) -> str:
-    """A channel within a sentence: the same without its unit."""
+    """A channel within a sentence: the title without its unit."""
     return titled(channel).rpartition(", ")[0] or titled(channel)
 
 
 LITTLE = 2.0
-"""Times the residual: where half of the effects tested would be seen only above it, the readings show little."""
+"""The readings show little where half of the tested effects are detected only above this many times the residual."""
 TOGETHER = "to be added together with rank 1"
 BESIDE = "explains another part than rank 1; may be missing too"
 MOST_NUMBERS = 4
@@ -95,7 +95,7 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
 
     Args:
         d: without a sentence.
-        smallest: size from which on half of the effects that were looked for would have been seen.
+        smallest: size from which on half of the searched effects would have been detected.
         odd: readings of the wrong sign or unit, in words.
         foreign: files that may be of another machine, in words.
     """
@@ -106,7 +106,7 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
 
 
 def _until_then(d: Diagnosis) -> list[str]:
-    """What is named beside that which decides nothing."""
+    """Sentences on what is named beside a doubt that decides nothing."""
     if not accepted(d.findings):
         return []
     f = d.findings[0]
@@ -173,7 +173,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
 
 
 def _together(d: Diagnosis) -> str:
-    """Effects that are missing together, what each removes, and what stays without a name."""
+    """Effects that are missing together, what each removes, and the residual without a name."""
     before, parts = 0.0, []
     for m in d.together:
         either = f", or {' or '.join(m.rivals[:2])} in its place" if m.rivals else ""
@@ -189,7 +189,7 @@ def _together(d: Diagnosis) -> str:
 
 
 def _of_the_residual(size: float, d: Diagnosis, unit: str) -> str:
-    """What an effect explains of the residual; of that of refitted numbers where the model's are out of date."""
+    """The share of the residual that an effect explains; of the refitted residual where the numbers are out of date."""
     part, whole = sizes(size, d.rms_residual)
     if d.out_of_date and size <= d.refit:
         part, refitted = sizes(size, d.refit)
@@ -200,7 +200,7 @@ def _of_the_residual(size: float, d: Diagnosis, unit: str) -> str:
 
 
 def _one_of(d: Diagnosis) -> str:
-    """Rivals with the same effect on the readings, and what may be missing besides."""
+    """Rivals with the same effect on the readings, and effects that may be missing besides."""
     first = d.findings[0]
     apart = {(a.effect, a.component) for a in first.confused_with if a.apart}
     beside = _beside(d, apart)
@@ -220,14 +220,14 @@ def _one_of(d: Diagnosis) -> str:
 
 
 def _beside(d: Diagnosis, apart: Collection[tuple[str, str]]) -> str:
-    """What may be missing besides: the likeliest, and how many are like it."""
+    """Effects that may be missing besides: the likeliest, and the number of similar ones."""
     others = [f for f in d.findings if (f.effect.effect, f.effect.component) in apart]
     names = list(dict.fromkeys(f.label for f in others))
     return f"{names[0]}{_like(len(names) - 1)}" if names else ""
 
 
 def _like(count: int) -> str:
-    """So many others like one that was named, in brackets; empty for none."""
+    """The number of others like the named one, in brackets; empty for none."""
     return f" (or {'another' if count == 1 else f'one of {count}'} like it)" if count > 0 else ""
 
 
@@ -236,7 +236,7 @@ def _label(alike: Alike) -> str:
 
 
 def beside(significant_too: Sequence[str]) -> tuple[str, ...]:
-    """That another effect is significant besides the first.
+    """Note on effects that are also significant besides the first.
 
     Args:
         significant_too: labels of such effects, best first.
@@ -252,7 +252,7 @@ def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
 
     Args:
         usual: root mean squares in the readings at its usual size, for each component that it may feed.
-        smallest: root mean squares from which on it would be seen.
+        smallest: smallest root mean squares that would be detected.
         unit: of both, as in a diagnosis.
     """
     low, high, name = significant(min(usual), 1), significant(max(usual), 1), UNITS[unit]
@@ -272,12 +272,12 @@ def why_not(mine: float, best: float, gain: float, same: bool) -> str:
     if gain <= 0.0:
         return "does not lower the error on held-out runs or targets"
     behind = best - mine
-    # 1.4 times is nothing that anybody would act upon.
+    # A factor of 1.4 is too small to act upon.
     return "as likely as rank 1" if behind < math.log(1.5) else f"{times_less(behind)} than rank 1"
 
 
 def times_less(behind: float) -> str:
-    """How much less likely something is, by the log of its odds."""
+    """How much less likely a candidate is, in words, by the log of its odds."""
     if behind >= math.log(1e6):
         return "over a million times less likely"
     times = math.exp(behind)
@@ -285,7 +285,7 @@ def times_less(behind: float) -> str:
 
 
 def sentence(text: str) -> str:
-    """A text as a sentence of its own: a capital at its head, unless that is a name from a file, and a stop."""
+    """A text as a sentence: a capital first, unless it begins with a name from a file, and a full stop."""
     first, second, *_ = [*text.split(maxsplit=2), "", ""]
     name = first.endswith(":") or any(mark in first for mark in "_(") or (second.endswith(":") and "_" in second)
     return (text if name else text[:1].upper() + text[1:]) + ("" if text.endswith((".", "?", "!")) else ".")
@@ -300,7 +300,7 @@ def unit_of_channel(name: str) -> str:
 
 
 def notes(names: Sequence[str], warm: bool) -> tuple[str, ...]:
-    """What was done to the data.
+    """Treatment of the data, in words.
 
     Args:
         names: of the measurements.
@@ -313,7 +313,7 @@ def notes(names: Sequence[str], warm: bool) -> tuple[str, ...]:
 
 
 def labels(effects: Sequence[Finding | FittedEffect]) -> list[str]:
-    """Short names that all differ: two of one name are given with what they differ in."""
+    """Short names that all differ: equal names get the arguments in which they differ."""
     return [_distinct(f, [g for g in effects if g.label == f.label]) for f in effects]
 
 
@@ -324,11 +324,11 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
     given = [g.effect.model_dump(mode="json", exclude_none=True) for g in same]
     mine = f.effect.model_dump(mode="json", exclude_none=True)
     keys = [k for k in dict.fromkeys(k for g in given for k in g) if any(g.get(k) != mine.get(k) for g in given)]
-    said = [_argument(k, mine.get(k)) for k in keys]
-    if not said:
+    parts = [_argument(k, mine.get(k)) for k in keys]
+    if not parts:
         ends = [n for n in f.theta if any(g.theta.get(n) != f.theta[n] for g in same)]
-        said = [f"{n} {significant(f.theta[n])}" for n in ends]
-    return f"{f.label}, {', '.join(said)}" if said else f"{f.label} #{1 + same.index(f)}"
+        parts = [f"{n} {significant(f.theta[n])}" for n in ends]
+    return f"{f.label}, {', '.join(parts)}" if parts else f"{f.label} #{1 + same.index(f)}"
 
 
 def _argument(key: str, value: object) -> str:

@@ -1,7 +1,7 @@
-"""Readings with the wrong sign or in the wrong unit: they follow the model, but times minus one, or a thousand.
+"""Readings with the wrong sign or in the wrong unit: they equal the prediction times minus one, or times a thousand.
 
-No machine changes so between two measurements; a file does. A refit would turn every number of the model round, and the
-loop would then double the error instead of taking it away.
+No machine changes like this between two measurements; a file does. A refit would reverse every number of the model,
+and the loop would then double the error instead of removing it.
 """
 
 import numpy as np
@@ -14,9 +14,9 @@ from rtec.estimation.readings import Readings
 Floats = NDArray[np.float64]
 
 ALIKE = 0.8
-"""Square of the correlation of what is measured and what is predicted, from which on the one follows the other."""
+"""Squared correlation of readings and prediction from which on one follows the other."""
 NEAR = 0.2
-"""How far a factor may be from the one that it is taken for, as a share of it."""
+"""Relative deviation of a factor from its nominal value, at most."""
 INCH = 25.4
 FACTORS = {
     -1.0: "is minus what the model predicts: is the sign of the readings right?",
@@ -30,7 +30,7 @@ FACTORS = {
 
 
 def odd_scales(readings: Readings, measured: Floats, predicted: Floats) -> tuple[str, ...]:
-    """Words for each reading column that follows the model by a factor that only a file can have.
+    """Words on each reading column that follows the model by a factor that only a file can have.
 
     Args:
         readings: the readings.
@@ -38,9 +38,9 @@ def odd_scales(readings: Readings, measured: Floats, predicted: Floats) -> tuple
     """
     out = []
     for s in readings.series:
-        said = _factor(measured[s.part], predicted[s.part])
-        if said:
-            out.append(f"{readings.measurements[s.source].name} {s.column}: what is measured {said}")
+        fault = _factor(measured[s.part], predicted[s.part])
+        if fault:
+            out.append(f"{readings.measurements[s.source].name} {s.column}: what is measured {fault}")
     return tuple(out)
 
 
@@ -49,7 +49,7 @@ def _factor(measured: Floats, predicted: Floats) -> str:
     if not own * other > 0.0 or cross * cross < ALIKE * own * other:
         return ""
     factor = cross / own
-    return next((said for f, said in FACTORS.items() if abs(factor / f - 1.0) < NEAR), "")
+    return next((words for f, words in FACTORS.items() if abs(factor / f - 1.0) < NEAR), "")
 
 
 def check_scales(readings: Readings, predicted: Floats) -> None:
@@ -57,12 +57,12 @@ def check_scales(readings: Readings, predicted: Floats) -> None:
 
     Args:
         readings: the readings.
-        predicted: what the model says of them, (m,).
+        predicted: by the model, (m,).
 
     Raises:
-        MeasurementError: some are.
+        MeasurementError: some readings have a wrong sign or unit.
     """
     odd = odd_scales(readings, floor.cleaned(readings, readings.values), floor.cleaned(readings, predicted))
     if odd:
         way = "correct it in the file; if the model was wrong, refit it with `rtec fit`"
-        raise MeasurementError("\n".join(f"{said} Nothing was fitted: {way}" for said in odd))
+        raise MeasurementError("\n".join(f"{fault} Nothing was fitted: {way}" for fault in odd))

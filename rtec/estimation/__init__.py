@@ -1,1 +1,1 @@
-"""What every fit stands on: readings, noise, whitening, outliers, held-out runs."""
+"""Common basis of every fit: readings, noise, whitening, outliers, held-out runs."""

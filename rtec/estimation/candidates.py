@@ -1,4 +1,4 @@
-"""The library of a search: every effect of the registry, for every component error that the readings see."""
+"""Candidates of a search: every effect of the registry, for every component error that the readings see."""
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,26 +20,26 @@ from rtec.machine.chain import component_unit
 Floats = NDArray[np.float64]
 
 GRID = 6
-"""Values of a non-linear parameter that are tried where the effect names none."""
+"""Grid of a non-linear parameter where the effect gives none."""
 INSTANTS = 160
 PAUSE, PAUSES = 3.0, 80
-"""So many times the usual time between readings is a pause; so many of the longest are tried."""
+"""A pause is this many times the usual time between readings; number of the longest pauses in the grid."""
 MOST_PERIODS = 480
 ONE_ARM = 1e-3
-"""Lever arms that differ by less than this share are one."""
+"""Lever arms within this relative difference are equal."""
 MOST = 48
-"""Combinations of non-linear parameters that are tried, at most."""
+"""Combinations of non-linear parameters in the grid, at most."""
 REAL = {"degc": 0.5, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
-"""Changes below this are noise of the channel, not a cause that was moved."""
+"""A smaller change is noise of the channel, not a motion."""
 
 
 @dataclass(frozen=True)
 class EffectCandidate:
-    """An effect that may be missing.
+    """An effect that the model may lack.
 
     Attributes:
         effect: with its arguments.
-        thetas: values of its non-linear parameters that are tried; one empty one where there are none.
+        thetas: grid of its non-linear parameters; one empty mapping where it has none.
     """
 
     effect: Effect
@@ -48,7 +48,7 @@ class EffectCandidate:
 
 @dataclass(frozen=True)
 class Untried:
-    """An effect that could not be a candidate for a component (empty: for any), and why."""
+    """An effect that cannot be a candidate for a component (empty: for any), and why."""
 
     effect: str
     component: str
@@ -58,12 +58,12 @@ class Untried:
 def library(
     readings: Readings, only: Sequence[str] | None = None, there: Sequence[Effect] = ()
 ) -> tuple[list[EffectCandidate], list[Untried]]:
-    """Give every candidate, and what could not be one.
+    """All candidates, and the effects that cannot be one.
 
     Args:
-        readings: what was measured.
+        readings: all readings.
         only: names of effects; None for all.
-        there: effects of the model; what follows a temperature at once there may follow it late.
+        there: effects of the model; an immediate effect of a temperature there may be delayed as well.
     """
     out: list[EffectCandidate] = []
     untried: list[Untried] = []
@@ -80,7 +80,7 @@ def library(
             why = lacking(kind, around)
             if not any(found) and why:
                 untried.append(Untried(name, seen.name, why))
-    # A plug-in that failed at one component is tried at none.
+    # A plug-in that failed for one component is skipped for all.
     skipped = {name: SKIPPED[kind] for name, kind in kinds.items() if kind in SKIPPED}
     untried = [u for u in untried if u.effect not in skipped]
     untried += [Untried(name, "", f"the plug-in is skipped: {fault}") for name, fault in skipped.items()]
@@ -88,9 +88,9 @@ def library(
 
 
 def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> bool:
-    """Whether an effect has an angle that grows evenly, and shifts read it at one arm only.
+    """Whether an effect is an angle that grows linearly, and shifts read it at one lever arm only.
 
-    That is a scale, a squareness or a straightness to these readings, and each of them is a candidate itself.
+    These readings cannot distinguish it from a scale, a squareness or a straightness; each of them is a candidate too.
     """
     if 1 not in getattr(effect, "degrees", ()) or component_unit(seen.name) != "urad":
         return False
@@ -106,7 +106,7 @@ def visible(readings: Readings) -> list[VisibleComponent]:
 
 
 def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
-    """What the readings that see a component offer to an effect."""
+    """Channels and ranges that an effect can use, from the readings that see a component."""
     machine = readings.machine
     arms = readings.arms(seen.name)
     parts = sorted({s.source for s in readings.series if np.abs(arms[s.part]).max(initial=0.0) > 0.0})
@@ -131,7 +131,7 @@ def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
 
 
 def real(machine: Machine, channel: str) -> float:
-    """Change of a channel below which it was not moved, in its unit."""
+    """Smallest change of a channel that counts as a motion, in its unit."""
     if channel in machine.sensor_names:
         return REAL["degc"]
     if channel in {a.channel for a in machine.axes}:
@@ -151,7 +151,7 @@ def _names(machine: Machine, seen: VisibleComponent) -> list[str]:
 
 
 def _span(states: Sequence[State], name: str) -> tuple[float, float] | None:
-    """Lowest and highest value of a channel; None where one of the measurements has not recorded all of it."""
+    """Lowest and highest value of a channel; None where one of the measurements did not record all of it."""
     values = []
     for state in states:
         try:
@@ -167,7 +167,7 @@ def _span(states: Sequence[State], name: str) -> tuple[float, float] | None:
 
 
 def _late(effect: Effect) -> Effect | None:
-    """The same effect behind its temperature; None where it has no delay, or has it already."""
+    """The same effect, delayed behind its temperature; None where it has no delay, or is delayed already."""
     return effect.model_copy(update={"lag": True}) if getattr(effect, "lag", None) is False else None
 
 
@@ -209,7 +209,7 @@ def _longest_travel_mm(readings: Readings) -> float:
 
 
 def _fold_mm(readings: Readings) -> float:
-    """Below this period, waves at evenly spaced targets fold onto longer ones; zero where targets are uneven."""
+    """Waves at evenly spaced targets fold onto longer ones below this period; zero where targets are uneven."""
     steps = []
     for state in readings.states:
         for axis in readings.machine.axes:
@@ -220,7 +220,7 @@ def _fold_mm(readings: Readings) -> float:
 
 
 def _periods(low_mm: float, high_mm: float, span_mm: float) -> tuple[float, ...]:
-    """Periods even in frequency, as fine as the span can tell them apart."""
+    """Periods even in frequency, as fine as the span can resolve."""
     high_mm = min(high_mm, 0.5 * span_mm)
     if span_mm <= 0.0 or high_mm <= low_mm:
         return (0.5 * (low_mm + high_mm),)
@@ -229,7 +229,7 @@ def _periods(low_mm: float, high_mm: float, span_mm: float) -> tuple[float, ...]
 
 
 def _instants(readings: Readings) -> tuple[float, ...]:
-    """Instants at which something may have happened: between readings, evenly over them, and in every long pause."""
+    """Instants at which an event may have happened: between readings, evenly over them, and in every long pause."""
     times = np.unique(np.concatenate([s.time_s for s in readings.series]))
     between, apart = 0.5 * (times[1:] + times[:-1]), np.diff(times)
     if not len(between):

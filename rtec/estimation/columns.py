@@ -1,6 +1,6 @@
-"""What the current model explains by itself: one column for each of its numbers, and for unknowns of a set-up.
+"""What the current model can explain: one column for each of its numbers, and for unknowns of a set-up.
 
-A fit of these columns is a refit of the model; what it cannot reach is what the model misses.
+A fit of these columns is a refit of the model; its residual is what the model misses.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
 STEP = 1e-3
-"""Of a non-linear parameter's size, for its derivative."""
+"""Relative step of a non-linear parameter for its derivative."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """The current model as the readings see it.
+    """Columns and prediction of the current model at the readings.
 
     Attributes:
-        columns: derivative of the readings by each number, then set-up terms, (m, p); zero columns are left out.
-        predicted: what the model says, (m,).
+        columns: derivative of the readings by each number, then set-up terms, (m, p); without zero columns.
+        predicted: prediction of the model, (m,).
         effects: columns and prediction of each effect: places in `columns`.
     """
 
@@ -33,7 +33,7 @@ class Base:
 
 
 def base_of(model: Model, readings: Readings) -> Base:
-    """Work out the base of a model.
+    """Columns and prediction of a model.
 
     Raises:
         MeasurementError: a measurement lacks a channel that the model needs.
@@ -66,7 +66,7 @@ def effect_columns(fitted: FittedEffect, readings: Readings) -> tuple[Floats, Fl
 
 
 def ordered(fitted: FittedEffect, readings: Readings) -> Floats:
-    """Coefficients in the order of the columns."""
+    """Coefficients in the order of the columns, (k,)."""
     return np.array([fitted.values[p.name] for p in fitted.effect.coefficients(readings.machine)])
 
 

@@ -1,9 +1,9 @@
-"""Measurements that contradict each other: at the same places they read otherwise, and nothing recorded explains it.
+"""Measurements that contradict each other: they differ at the same places, and no recorded channel explains it.
 
-Between the targets of a file its readings are interpolated, so that files at other targets are compared as well.
+Between the targets of a file its readings are interpolated, so that files at other targets can be compared.
 
-A file may have its sign turned, or be of another machine or set-up. No model is right for both, so no effect is named,
-and none is fitted to it.
+The sign of a file may be reversed, or it may be of another machine or set-up. No model is right for both, so no effect
+is named, and none is fitted to them.
 """
 
 import itertools
@@ -24,22 +24,22 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 COMMON, OPPOSITE = 5, -0.8
-"""Places that two files share at the least, and the correlation of their means from which on they contradict."""
+"""Fewest places that two files share, and the correlation of their means from which on they contradict."""
 DISAGREE, MUCH_OF, UNLIKE = 4.0, 0.5, 3.0
-"""Or so many times what the noise lets them differ by, and this share of what they read; where channels that were
-recorded differ by less than so many times what counts as a change."""
+"""Or their difference is this many times the one that noise allows, and this share of the readings, while recorded
+channels differ by less than this many times the least change."""
 ELSEWHERE = 0.25
-"""Or whose medians differ by less than this share of its range."""
+"""Or the medians of such a channel differ by less than this share of its range."""
 MET = 1.5
-"""A model that leaves less than so many times the noise of a file meets it: all that changed there is in the model."""
+"""A model meets a file where its residual is less than this many times the file's noise: it has all that changed."""
 MIRROR = 0.25
-"""A file is the mirror image of another where their sum is less than this share of what they read."""
+"""A file is the mirror image of another where their sum is less than this share of their readings."""
 CLEARLY = 1.2
-"""Of two files that contradict each other, the odd one differs by so many times more from the others."""
+"""Of two files that contradict each other, the odd one differs this many times more from the others."""
 PER_MM = 10.0
-"""Places are the same within one over so many mm."""
+"""Places within 1 mm divided by this number are equal."""
 LINE = 10_000_000
-"""More places than a line may have."""
+"""More places than a line can have."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Contradiction:
     """Measurements that contradict each other.
 
     Attributes:
-        odd: numbers of those that contradict the others; empty where nobody knows which side is right.
+        odd: numbers of those that contradict the others; empty where it is unknown which are right.
         message: in words, without a full stop.
-        check: what to look at.
-        again: and what to do then.
+        check: what the user should check.
+        again: what to do afterwards.
     """
 
     odd: tuple[int, ...]
@@ -66,8 +66,8 @@ class _Pair:
     Attributes:
         sources: numbers of their measurements.
         unit: of the readings.
-        off, measured_off: root mean square of their difference, as the model leaves it and as it was read.
-        turned, apart: whether the one is the mirror image of the other; whether they differ by far too much.
+        off, measured_off: root mean square of their difference, in the residuals and in the readings.
+        turned, apart: whether one is the mirror image of the other; whether they differ by far too much.
     """
 
     sources: tuple[int, int]
@@ -79,10 +79,10 @@ class _Pair:
 
 
 def contradiction(judged: Judgement) -> Contradiction | None:
-    """Files that read the same places otherwise: with opposite signs, or by far more than their noise."""
+    """Files whose readings differ at the same places: in sign, or by far more than their noise."""
     readings = judged.readings
     series, made_by = readings.series, [readings.measurements[s.source].instrument for s in readings.series]
-    # Set up otherwise, as a beam at another offset, an instrument reads something else at the same place.
+    # In another set-up, as with a beam at another offset, an instrument reads another value at the same place.
     comparable = [
         (i, j)
         for (i, one), (j, two) in itertools.combinations(enumerate(series), 2)
@@ -95,11 +95,11 @@ def contradiction(judged: Judgement) -> Contradiction | None:
     turned, apart = [p for p in pairs if p.turned], [p for p in pairs if p.apart]
     met = {s.source for s in series} - {s.source for k, s in enumerate(series) if not _met(judged, k)}
     if turned:
-        return _told(readings, turned, pairs, met, "readings go the other way")
+        return _described(readings, turned, pairs, met, "readings go the other way")
     if apart:
         unit = "µrad" if apart[0].unit == "urad" else "µm"
         worst = max(p.off for p in apart)
-        return _told(
+        return _described(
             readings, apart, pairs, met, f"readings differ by {worst:.2g} {unit}, and no recorded channel does"
         )
     return None
@@ -107,13 +107,13 @@ def contradiction(judged: Judgement) -> Contradiction | None:
 
 @dataclass(frozen=True)
 class _Means:
-    """What a series reads, and what the model leaves, at each of its places.
+    """Mean reading and residual of a series at each of its places.
 
     Attributes:
-        place: number of the line that is travelled times `LINE`, plus the position on it times `PER_MM`; rising, (k,).
-        value: means read and left there, (k, 2).
-        known: places of lines with so many others that they tell what is between them, (k,).
-        bent: root mean square by which straight lines through both neighbours miss a place.
+        place: number of the line of travel times `LINE`, plus the position on it times `PER_MM`; rising, (k,).
+        value: mean reading and residual there, (k, 2).
+        known: places of lines with enough places for interpolation, (k,).
+        bent: root mean square deviation of a place from the straight line through both neighbours.
     """
 
     place: Ints
@@ -123,7 +123,7 @@ class _Means:
 
     @classmethod
     def of(cls, place: Ints, values: Floats) -> "_Means":
-        """Those of readings, (n,) and (2, n)."""
+        """Means of readings at their places, (n,) and (2, n)."""
         there, which, count = np.unique(place, return_inverse=True, return_counts=True)
         value = np.stack([np.bincount(which, v) / count for v in values], axis=1)
         line, size = np.unique(there // LINE, return_inverse=True, return_counts=True)[1:]
@@ -136,7 +136,7 @@ class _Means:
         return cls(there, value, known, bent)
 
     def at(self, place: Ints) -> tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
-        """Whether places, (k,), are known or lie between; the values there, (c, 2); and which lie between, (c,)."""
+        """Which places, (k,), are known or interpolated; their values, (c, 2); which of them are interpolated, (c,)."""
         after = np.minimum(np.searchsorted(self.place, place), len(self.place) - 1)
         same = self.place[after] == place
         before = np.where(same, after, np.maximum(after - 1, 0))
@@ -150,7 +150,7 @@ class _Means:
 
 
 def _means(judged: Judgement) -> list[_Means]:
-    """Of each series, by the places along the axis that moves most, going each way."""
+    """Means of each series, by the places along the axis that moves most, for each direction."""
     readings = judged.readings
     rows, along = [], []
     for s in readings.series:
@@ -169,7 +169,7 @@ def _means(judged: Judgement) -> list[_Means]:
 def _compared(judged: Judgement, two: tuple[int, int], means: Sequence[_Means]) -> _Pair | None:
     """Two series, each about its mean at the places that they share; None where those are too few.
 
-    The one with more places tells what is between them.
+    The one with more places is interpolated.
     """
     few, many = sorted((means[k] for k in two), key=lambda m: len(m.place))
     there, other, between = many.at(few.place)
@@ -184,24 +184,24 @@ def _compared(judged: Judgement, two: tuple[int, int], means: Sequence[_Means]) 
     series = [judged.readings.series[k] for k in two]
 
     def noise() -> float:
-        """What noise, and the law between places, let the means differ by; it takes long, where much was read."""
+        """Difference of the means that noise and interpolation allow; takes long for many readings."""
         variances = [judged.floors[k].value ** 2 * len(means[k].place) / len(judged.readings.series[k]) for k in two]
         return DISAGREE * math.sqrt(sum(variances) + float(between.mean()) * many.bent**2)
 
-    # What is warmer may bend the other way, but hardly by as much: only a turned file is the mirror image.
+    # A warmer machine may bend the other way, but hardly by as much: only a reversed file is the mirror image.
     together = float(np.sqrt(np.mean((one + other)[:, 0] ** 2)))
     turned = opposite and (together < MIRROR * larger or together < noise())
-    # A law of the model that is wrong tells days apart of which the readings differ little.
+    # A wrong law of the model makes days differ whose readings differ little.
     differs = not turned and off > MUCH_OF * left_larger and _alike(judged, *two)
     apart = differs and min(off, measured_off) > noise()
     sources = (series[0].source, series[1].source)
     return _Pair(sources, series[0].unit, off, measured_off, turned, apart)
 
 
-def _told(
+def _described(
     readings: Readings, pairs: Sequence[_Pair], compared: Sequence[_Pair], met: set[int], how: str
 ) -> Contradiction:
-    """Words on files that contradict each other; the odd ones of them, where they are known."""
+    """Message about files that contradict each other; with the odd ones, where they are known."""
 
     def names(sources: Iterable[int]) -> str:
         return ", ".join(readings.measurements[i].name for i in sorted(set(sources)))
@@ -224,8 +224,8 @@ _MANY = ("contradict", "their", "them", "they are")
 def _odd(pairs: Sequence[_Pair], compared: Sequence[_Pair], met: set[int]) -> tuple[int, ...]:
     """The sources that the model does not meet while it meets all that they contradict.
 
-    Else those that contradict most of the others, until none is left that does. Of two that contradict as many it is
-    the one that is clearly farther from those that contradict none.
+    Otherwise those that contradict most of the others, one after the other, until no contradiction remains. Of two that
+    contradict equally many it is the one that is clearly farther from those that contradict none.
     """
     if all(len(met & set(p.sources)) == 1 for p in pairs):
         return tuple(sorted({i for p in pairs for i in p.sources} - met))
@@ -244,7 +244,7 @@ def _odd(pairs: Sequence[_Pair], compared: Sequence[_Pair], met: set[int]) -> tu
 
 
 def _farther(tied: set[int], compared: Sequence[_Pair]) -> set[int]:
-    """Which of some sources is clearly farther from all others; none where that is not so."""
+    """The sources that are clearly farther from all others; empty where none is."""
     far = dict.fromkeys(tied, 0.0)
     for p in compared:
         mine = tied & set(p.sources)
@@ -255,15 +255,15 @@ def _farther(tied: set[int], compared: Sequence[_Pair]) -> set[int]:
 
 
 def _met(judged: Judgement, series: int) -> bool:
-    """Whether the model leaves no more of a series than its noise."""
+    """Whether the residual of a series is no larger than its noise."""
     left = judged.left[judged.readings.series[series].part]
     return float(np.sqrt(np.mean(left**2))) < MET * judged.floors[series].value
 
 
 def _alike(judged: Judgement, one: int, two: int) -> bool:
-    """Whether all that was recorded beside is alike in two series: nothing known makes the one differ from the other.
+    """Whether all other channels agree in two series, so that nothing recorded explains a difference.
 
-    What a channel does that changes within a file shows there already; all of it, where the model meets that file.
+    Where the model meets a file, a channel that changes within that file has shown its effect there.
     """
     readings, machine = judged.readings, judged.readings.machine
     both = [readings.series[k] for k in (one, two)]

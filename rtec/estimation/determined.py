@@ -1,7 +1,7 @@
-"""Terms that nothing determines, though their sum meets the readings.
+"""Terms that the readings do not determine, though their sum fits the readings.
 
-Two delays of one temperature follow, with opposite signs and at any size, how fast it changes; two polynomials meet the
-same targets. Each alone may then make many times what was read, and on another day they no longer cancel. A model must
+Two delays of one temperature, with opposite signs and any size, follow its rate of change; two polynomials fit the same
+targets. Each alone may then contribute many times the readings, and on another day they no longer cancel. A model must
 not have both.
 """
 
@@ -12,19 +12,19 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SURE = 3.0
-"""Standard errors that what a term makes must be away from zero, where it or its error exceeds what was read."""
+"""A contribution must be this many standard errors from zero, where it or its error exceeds the readings."""
 
 
 def undetermined(gram: Floats, values: Floats, covariance: Floats, owner: Ints, left: Floats) -> list[int]:
-    """Terms that alone make, or may make, more than all that was read, and whose size is not sure.
+    """Terms that alone contribute, or may contribute, more than all readings, and whose size is uncertain.
 
     Args:
-        gram: products of the columns, unknowns of the instruments taken out, of each measurement, (n, k, k). A term's
+        gram: products of the columns, instrument unknowns projected out, of each measurement, (n, k, k). A term's
             slopes by its non-linear parameters are columns of its own.
         values: coefficients, zero for slopes, (k,).
         covariance: of coefficients and slopes, (k, k).
-        owner: which term each column belongs to, (k,).
-        left: sum of squares that all terms leave of each measurement, (n,).
+        owner: number of the term of each column, (k,).
+        left: sum of squared residuals of all terms, of each measurement, (n,).
 
     Returns:
         The numbers of those terms.

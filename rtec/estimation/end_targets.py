@@ -1,9 +1,9 @@
-"""End targets that stand out: readings at the first or last targets of an axis that those between do not predict.
+"""End targets that stand out: readings at the first or last targets of an axis that the others do not predict.
 
 A probe that touches a clamp or an end stop is wrong at the same targets in every run, so neither the neighbours in time
-nor the other runs show it. A smooth law fitted to all targets bends to meet them, and errs everywhere. So a curve is
-fitted to the targets between, and asked whether it predicts the ends (`targets` asks the same of a wave). One or two
-targets do not decide between a true error of the machine there and a mistake of measuring.
+nor the other runs show it. A smooth law fitted to all targets bends towards them, and errs everywhere. So a curve is
+fitted to the targets between and must predict the ends (`targets` does the same with a wave). One or two targets do not
+decide between a true error of the machine there and a mistake of the measurement.
 """
 
 import itertools
@@ -22,22 +22,22 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 ENDS = 2
-"""So many targets of an end may stand out."""
+"""Most targets of an end that can stand out."""
 FEWEST, MOST, PASSES = 6, 60, 3
-"""Targets of an axis, at least and at most; and runs going the same way that show whether an end is off each time."""
+"""Fewest and most targets of an axis; and runs in one direction that show whether an end deviates each time."""
 DEGREES, FREE = 5, 2
-"""Highest degree of the curves along the axis, and targets beyond the numbers of a curve, at the least."""
+"""Highest degree of the curves along the axis, and fewest targets beyond the numbers of a curve."""
 FAR = 10.0
-"""So many standard errors of its prediction a target stands out; one of the curve, once in a hundred (Student's t with
-two degrees of freedom)."""
+"""A target stands out at this many standard errors of its prediction; one of the curve does once in a hundred
+(Student's t with two degrees of freedom)."""
 HIGHER = 1
-"""By so many degrees the curve that predicts the targets between best may be too low."""
+"""The curve that best predicts the targets between may be too low by this many degrees."""
 SMOOTH = 4.0
-"""The curve through all targets misses those that it is not fitted to by so many times more than that between."""
+"""The curve through all targets misses those outside its fit by this many times more than the curve between."""
 MANY, LEAST = 10, 1e-3
-"""Means of targets are never taken for better than those of so many runs, or than this share of what is read."""
+"""The mean of a target is never taken as more accurate than that of this many runs, or this share of the readings."""
 STEP, STILL_MM = 0.25, 0.05
-"""Positions that differ by less than this share of the usual step are one target; an axis that moves less stands."""
+"""Positions within this share of the usual step are one target; an axis that moves less is at rest."""
 SIGMA_PER_MAD = 1.4826
 
 NEXT = (
@@ -52,8 +52,8 @@ class EndTargets:
 
     Attributes:
         places_mm: positions of the targets along the axis, rising, (k,).
-        off: how far the readings are from the curve through the targets between, in their unit, (k,).
-        readings: how far each reading there is off, (m,); NaN of all others.
+        off: deviation of the readings from the curve through the targets between, in their unit, (k,).
+        readings: deviation of each reading there, (m,); NaN of all others.
         message: in words, without a full stop.
     """
 
@@ -66,7 +66,7 @@ class EndTargets:
 def end_targets(readings: Readings) -> list[EndTargets]:
     """End targets that stand out, of each series that is read along one axis.
 
-    Where the axis goes both ways they must be off alike: what a reversal leaves at an end shows going one way only.
+    Where the axis goes both ways, both must deviate alike: a reversal at an end shows in one direction only.
     """
     out = []
     for s in readings.series:
@@ -92,8 +92,8 @@ def end_targets(readings: Readings) -> list[EndTargets]:
 
 def _message(readings: Readings, s: Series, axis: Axis, places: Floats, off: Floats) -> str:
     unit = "µm" if s.unit == "um" else "µrad"
-    said = [f"{p:.4g} mm ({significant(o, 2, sign=True)} {unit})" for p, o in zip(places, off, strict=True)]
-    ends = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
+    listed = [f"{p:.4g} mm ({significant(o, 2, sign=True)} {unit})" for p, o in zip(places, off, strict=True)]
+    ends = listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}"
     return (
         f"{readings.measurements[s.source].name} {s.column}: at the end of {axis.name} the readings at {ends} are off "
         "the curve of the targets between, in most runs; so few targets decide no law, and none is fitted to them"
@@ -118,9 +118,9 @@ def _targets(place: Floats, run: Ints) -> Ints:
 
 
 def _table(values: Floats, run: Ints, target: Ints, mine: Bools) -> Floats:
-    """Means of each run going one way at each target, (runs, targets).
+    """Means of each run in one direction at each target, (runs, targets).
 
-    NaN where there is none; runs that miss more than one target in four are left out.
+    NaN where there is none; without runs that miss more than one target in four.
     """
     shape = int(run.max()) + 1, int(target.max()) + 1
     cell = run[mine] * shape[1] + target[mine]
@@ -131,9 +131,9 @@ def _table(values: Floats, run: Ints, target: Ints, mine: Bools) -> Floats:
 
 
 def _off(at: Floats, table: Floats) -> Floats:
-    """How far each target at an end is from the curve through those between, (targets,).
+    """Deviation of each target at an end from the curve through those between, (targets,).
 
-    Zero where it belongs to the curve; NaN where too few runs read it, or too few targets were read.
+    Zero where it fits the curve; NaN where too few runs read it, or too few targets were read.
 
     Args:
         at: positions of the targets, mm, rising, (targets,).
@@ -147,7 +147,7 @@ def _off(at: Floats, table: Floats) -> Floats:
 
 
 def _off_curve(u: Floats, table: Floats) -> Floats:
-    """The same of targets at u, -1 to +1, that were all read by most runs."""
+    """The same for targets at u, -1 to +1, all read by most runs."""
     n, best = len(u), np.zeros(len(u))
     level = _levelled(u, table)
     mean = np.nanmedian(level, axis=0)
@@ -165,7 +165,7 @@ def _off_curve(u: Floats, table: Floats) -> Floats:
 
 
 def _levelled(u: Floats, table: Floats) -> Floats:
-    """Readings of each run less its line through the targets between: its zero, and what heat makes of the scale."""
+    """Readings of each run less its line through the targets between: its zero, and the thermal change of scale."""
     side = ENDS if len(u) >= FEWEST + ENDS else 1
     there = np.isfinite(table) & (np.arange(len(u)) >= side) & (np.arange(len(u)) < len(u) - side)
     count, value = there.sum(axis=1), np.where(there, table, 0.0)
@@ -175,7 +175,7 @@ def _levelled(u: Floats, table: Floats) -> Floats:
 
 
 def _missed(u: Floats, mean: Floats, between: Ints, least: float, smooth: float) -> Floats:
-    """How far targets are from the curves through those between, (targets,); zero of those that a curve may meet."""
+    """Deviation of targets from the curves through those between, (targets,); zero of those that a curve may fit."""
     outside = np.setdiff1d(np.arange(len(u)), between)
     curves = _curves(u, mean, between, least)
     likeliest = int(np.argmin([c.predicts for c in curves]))
@@ -191,8 +191,8 @@ class _Curve:
     """A polynomial through some targets.
 
     Attributes:
-        off, error: how far each target is from it, and the standard error of that, (targets,).
-        predicts: root mean square by which it misses each of these when it is fitted to the others.
+        off, error: deviation of each target, and its standard error, (targets,).
+        predicts: root mean square deviation of each fitted target from the curve through the others.
     """
 
     off: Floats
@@ -201,7 +201,7 @@ class _Curve:
 
 
 def _curves(u: Floats, mean: Floats, through: Ints, least: float) -> "list[_Curve]":
-    """Those of each degree that the targets decide."""
+    """Curves of each degree that the targets determine."""
     return [_curve(u, mean, through, p, least) for p in range(1, min(DEGREES, len(through) - 1 - FREE) + 1)]
 
 
@@ -217,9 +217,9 @@ def _curve(u: Floats, mean: Floats, through: Ints, degree: int, least: float) ->
 
 
 def _alike(ways: Sequence[Floats]) -> Floats:
-    """Of both ways the smaller, where both stand out the same way; zero elsewhere, (targets,).
+    """The smaller deviation of both directions, where both have the same sign; zero elsewhere, (targets,).
 
-    A target that is read going one way only, as an end may be, stands out by that.
+    A target that is read in one direction only, as an end may be, stands out by that one.
     """
     if not ways:
         return np.zeros(1)

@@ -1,4 +1,4 @@
-"""Columns that follow anything smooth in the recorded channels: what they can reach is not counted as noise."""
+"""Columns that follow any smooth function of the recorded channels: what they can explain does not count as noise."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,26 +10,26 @@ from rtec.jit import njit
 Floats = NDArray[np.float64]
 
 NEAR_DEGC = 0.3
-"""Temperatures that differ by less than this from those of the first of a group count as the same."""
+"""Temperatures that differ by less than this from those of the first of a group count as equal."""
 KNOTS, WARM_KNOTS = (9, 5, 3, 2), 4
 FEW_VALUES = 9
 REAL_DEGC = 0.5
-"""A sensor that varies by less has nothing to say."""
+"""A sensor that varies by less gives no information."""
 MOST_WARM, SMALL_PART = 40, 1e-10
-"""Columns of temperatures; the strongest directions of all that were made."""
+"""Number of columns of temperatures; the strongest directions of all."""
 READINGS_PER_PLACE, READINGS_PER_COLUMN, STATES_PER_COLUMN = 4, 8, 3
 """Temperatures that differ by less are one state of the machine."""
 
 
 def flexible_columns(readings: Readings, base: Floats, warm: bool = True) -> Floats:
-    """Columns of the model and of the set-up, (m, q), and those that follow anything smooth in the channels, (m, p).
+    """Columns of the model and the set-up, (m, q), and those that follow any smooth function of the channels, (m, p).
 
-    Each series has coefficients of its own, so that those of different series share the same columns.
+    Each series has its own coefficients, so all series share the columns of the array.
 
     Args:
         readings: the readings.
         base: columns of the model and of the set-up, (m, q).
-        warm: also what follows temperatures.
+        warm: also functions of temperatures.
     """
     columns = [smooth_columns(readings, s, warm) for s in readings.series]
     width = max(c.shape[1] for c in columns)
@@ -42,8 +42,8 @@ def smooth_columns(readings: Readings, series: Series, warm: bool = True) -> Flo
 
     Args:
         readings: the readings.
-        series: of these.
-        warm: with those of temperatures.
+        series: one of these.
+        warm: also functions of temperatures.
     """
     state, rows = readings.states[series.source], series.row
     moving = []
@@ -54,7 +54,7 @@ def smooth_columns(readings: Readings, series: Series, warm: bool = True) -> Flo
     names = ("spindle_rpm", "load_kg", "feed_mm_min", *(a.velocity_channel for a in readings.machine.axes))
     speeds = [state.channels[n][rows] for n in names if n in state.channels]
     most = max(len(series) // READINGS_PER_PLACE, 1)
-    # Fewer knots where there are few readings, the same in both directions.
+    # Fewer knots where there are few readings, equal in both directions.
     plain = np.zeros((len(series), 0))
     for knots in KNOTS:
         few = FEW_VALUES if knots == KNOTS[0] else knots
@@ -83,7 +83,7 @@ def _warm(readings: Readings, series: Series, moving: list[Floats]) -> Floats:
         columns += [hats, *(hats * m[:, None] for m in moving)]
     if not columns:
         return np.zeros((len(series), 0))
-    # What goes with the zero of each run anyway must not take the place of what is seen.
+    # A temperature that the zero of each run absorbs must not replace one that the readings see.
     seen = without_runs(series, np.concatenate(columns, axis=1))
     size, turn = np.linalg.eigh(seen.T @ seen)
     most = min(MOST_WARM, _states(np.stack(found, axis=1)) // STATES_PER_COLUMN)
@@ -93,10 +93,10 @@ def _warm(readings: Readings, series: Series, moving: list[Floats]) -> Floats:
 
 @njit
 def _states(degc: Floats) -> int:
-    """How many states of temperature were gone through, one after the other; (n, sensors).
+    """Number of successive temperature states; `degc` is (n, sensors).
 
-    Not readings but these are what a dependence on temperature is judged by: more columns than a part of them would
-    follow the drift of the noise.
+    They, not the readings, determine a dependence on temperature: more columns than a part of their number would follow
+    the drift of the noise.
     """
     count, first = 1, 0
     for i in range(len(degc)):
@@ -108,7 +108,7 @@ def _states(degc: Floats) -> int:
 
 
 def _hats(value: Floats, knots: int, few: int = FEW_VALUES) -> Floats:
-    """Hat functions on evenly spaced knots, or one column for each of a few values at the most, (n, k)."""
+    """Hat functions on evenly spaced knots, or one column for each of at most `few` values, (n, k)."""
     levels = np.unique(value)
     if len(levels) == 1:
         return np.zeros((len(value), 0))
@@ -118,8 +118,8 @@ def _hats(value: Floats, knots: int, few: int = FEW_VALUES) -> Floats:
     return np.asarray(np.clip(1.0 - np.abs(place[:, None] - np.arange(knots)[None, :]), 0.0, None))
 
 
-def less(readings: Readings, columns: Floats, values: Floats) -> Floats:
-    """Values less what the columns explain of them by least squares, series by series, (m,).
+def unexplained(readings: Readings, columns: Floats, values: Floats) -> Floats:
+    """Residual of values after a least-squares fit of the columns, series by series, (m,).
 
     Args:
         readings: of all series.

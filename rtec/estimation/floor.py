@@ -1,14 +1,14 @@
-"""What noise alone would leave of the readings, and what a model leaves of them.
+"""The noise floor: the residual that noise alone would give. And root mean squares of residuals.
 
-The noise floor: from repeats where there are enough of them, else from a fitted noise model.
+The floor comes from repeats where there are enough of them, else from a fitted noise model.
 
 Repeats are readings of other runs at the same pose, in the same direction, at the same speeds and load, at nearly the
-same temperatures; also of other files by the same instrument in the same set-up. What they differ by is noise, whatever
-the model is; what the model predicts of the small changes of temperature between them is taken out.
+same temperatures; also of other files by the same instrument in the same set-up. Their differences are noise, whatever
+the model is. What the model predicts of the small changes of temperature between them is subtracted.
 
-The fitted noise model is white noise, drift and an offset of each run, found by restricted maximum likelihood. So
-that what the model misses is not taken for drift, everything that goes smoothly with position, direction, speeds,
-load and temperatures is projected out first.
+The fitted noise model is white noise, drift and an offset of each run, estimated by restricted maximum likelihood.
+So that drift does not absorb what the model misses, every smooth function of position, direction, speeds, load and
+temperatures is projected out first.
 """
 
 import math
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.flexible import NEAR_DEGC, flexible_columns
 from rtec.estimation.gls import solve, without_nuisance
-from rtec.estimation.noise import Noise, Whitener, found_on_stretches
+from rtec.estimation.noise import Noise, Whitener, noise_on_stretches
 from rtec.estimation.readings import Readings, Series, row_codes
 from rtec.estimation.whitening import drift_draws
 from rtec.jit import njit
@@ -32,11 +32,11 @@ Ints = NDArray[np.int64]
 SAME_MM = 0.02
 SAME_RPM = 1.0
 FEWEST = 20
-"""Differences between repeats below which they do not decide the floor, "degrees of freedom"."""
+"""Degrees of freedom ("differences between repeats") below which repeats do not determine the floor."""
 CHANGED = 1.5
-"""Repeats that scatter by this factor more than neighbouring readings: more than chance makes of the fewest."""
+"""Something changed between repeats that scatter by this factor more than neighbours: noise alone makes less."""
 SHARE = 0.1
-"""And at least this share of the readings must have a repeat."""
+"""At least this share of the readings must have a repeat."""
 SMALL = 1e-12
 
 
@@ -46,7 +46,7 @@ def repeats_floor(readings: Readings, series: Sequence[Series], left: Floats) ->
     Args:
         readings: that the series belong to.
         series: one reading column, or those of several files by one instrument in one set-up.
-        left: residuals of all readings, nuisances taken out, (m,).
+        left: residuals of all readings, nuisances projected out, (m,).
     """
     run = np.concatenate([readings.run[s.part] for s in series])
     if run[0] == run[-1]:
@@ -62,16 +62,16 @@ def repeats_floor(readings: Readings, series: Sequence[Series], left: Floats) ->
 
 
 def _kept(series: Sequence[Series]) -> float:
-    """Share of the noise that stays when the unknowns of each run (zero, slope) are fitted."""
+    """Share of the noise that remains when the unknowns of each run (zero, slope) are fitted."""
     unknown = [np.minimum(np.bincount(s.run), s.nuisance.shape[1]).sum() for s in series]
     return max(1.0 - float(sum(unknown)) / sum(map(len, series)), SMALL)
 
 
 @njit
 def group_differences(order: Ints, pose: Ints, run: Ints, warm: Floats, values: Floats) -> tuple[float, int, int]:
-    """Sum of squares of readings about the mean of their group, its degrees of freedom, and how many readings it has.
+    """Sum of squares of readings about the mean of their group, its degrees of freedom, and the number of readings.
 
-    A group are readings at one pose, in order of time, while temperatures stay near; one of each run.
+    A group has readings at one pose, in order of time, while temperatures stay near; one of each run.
 
     Args:
         order: readings pose by pose, in order of time, (n,).
@@ -105,7 +105,7 @@ def group_differences(order: Ints, pose: Ints, run: Ints, warm: Floats, values: 
 
 
 def _pose_codes(readings: Readings, series: Sequence[Series]) -> Ints:
-    """A number for each pose with direction, speeds and load, (n,); what was not recorded counts as zero."""
+    """A number for each pose with direction, speeds and load, (n,); an unrecorded channel counts as zero."""
     axes = readings.machine.axes
     steps = {a.velocity_channel: 1.0 for a in axes} | {"spindle_rpm": SAME_RPM, "load_kg": 0.1, "feed_mm_min": 1.0}
     rows = []
@@ -123,7 +123,7 @@ def _pose_codes(readings: Readings, series: Sequence[Series]) -> Ints:
 def _temperatures(readings: Readings, series: Sequence[Series]) -> Floats | None:
     """Temperatures, (n, sensors); a missing one counts as unchanged in its file.
 
-    None of files that recorded no temperature in common: between two days it may have changed.
+    None for files without a common temperature: it may have changed between two days.
     """
     states = [readings.states[s.source] for s in series]
     names = [t for t in readings.machine.sensor_names if all(t in state.channels for state in states)]
@@ -137,13 +137,13 @@ def _temperatures(readings: Readings, series: Sequence[Series]) -> Floats | None
 
 
 def draws(whitener: Whitener, tails: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Draw noise for all readings, nuisances taken out, (m, count).
+    """Random draws of noise for all readings, nuisances projected out, (m, count).
 
     Args:
         whitener: the noise of each series.
         tails: degrees of freedom of Student's t for the white part of each series; infinite for a normal one.
-        count: how many.
-        rng: where from.
+        count: number of draws.
+        rng: random numbers.
     """
     readings = whitener.readings
     parts = [_of(s, n, t, count, rng) for s, n, t in zip(readings.series, whitener.noises, tails, strict=True)]
@@ -161,14 +161,14 @@ def _of(series: Series, noise: Noise, tail: float, count: int, rng: np.random.Ge
 
 
 def tails_of(whitener: Whitener, left: Floats) -> Floats:
-    """How heavy the tails are: degrees of freedom of a Student's t with the kurtosis of the whitened readings."""
+    """Degrees of freedom of Student's t with the kurtosis of the whitened readings, (series,); infinite if normal."""
     white = whitener(left)
     out = []
     for s in whitener.readings.series:
         w = white[s.part]
         w = w - w.mean()
         excess = float(np.mean(w**4)) / max(float(np.mean(w**2)) ** 2, SMALL) - 3.0
-        # The kurtosis of n normal numbers scatters by sqrt(24 / n); less than twice that is none.
+        # The kurtosis of n normal numbers scatters by sqrt(24 / n); an excess below twice that does not count.
         out.append(4.0 + 6.0 / excess if excess > 2.0 * math.sqrt(24.0 / len(w)) else math.inf)
     return np.asarray(np.maximum(np.array(out), 4.5))
 
@@ -176,7 +176,7 @@ def tails_of(whitener: Whitener, left: Floats) -> Floats:
 def flattened(readings: Readings, columns: Floats) -> Floats:
     """Columns less what the instruments cannot know: terms of each run and of the set-up, (m, p) or (m,).
 
-    The terms go one at a time by least squares, so that the result is linear in the columns.
+    Each term is removed by its own least squares, so that the result is linear in the columns.
     """
     flat: Floats = without_nuisance(readings, columns)
     if not readings.setup.shape[1]:
@@ -193,7 +193,7 @@ DRAWS = 24
 
 
 def unit_of(readings: Readings) -> Unit:
-    """Unit in which all readings can be told: µm, µrad, or multiples of the noise where there are both."""
+    """Unit for all readings together: µm, µrad, or multiples of the noise where there are both."""
     units = {s.unit for s in readings.series}
     if len(units) > 1:
         return "noise"
@@ -201,9 +201,9 @@ def unit_of(readings: Readings) -> Unit:
 
 
 def floors(whitener: Whitener, seed: int = 1) -> Floats:
-    """Root mean square that noise alone leaves of each series once the nuisances of each run are taken out.
+    """Root mean square that noise alone gives each series once the nuisances of each run are fitted, (series,).
 
-    Drawn: the drift within a run is left, that between runs goes with their zeros.
+    From random draws: drift within a run remains, drift between runs is fitted by their zeros.
     """
     readings = whitener.readings
     rng = np.random.default_rng([seed, 77])
@@ -220,8 +220,8 @@ class Floor:
     """The noise of one series.
 
     Attributes:
-        value: root mean square of what does not repeat, in the unit of the series.
-        source: where that comes from.
+        value: root mean square of the part that does not repeat, in the unit of the series.
+        source: what the value was estimated from.
         drift: root mean square of the slow drift that no recorded channel explains; no part of `value`.
         repeats: from repeats; None where there are too few, or where something changed slowly between them.
         fitted: the fitted noise model with its drift.
@@ -235,36 +235,36 @@ class Floor:
 
 
 def flexible_noise(readings: Readings, columns: Floats) -> Whitener:
-    """Noise beside everything that goes smoothly with the channels.
+    """Noise fitted together with every smooth function of the channels.
 
     Args:
         readings: the readings.
         columns: of the model and the set-up, (m, p).
     """
-    return found_on_stretches(readings, lambda few, keep: flexible_columns(few, columns[keep]))
+    return noise_on_stretches(readings, lambda few, keep: flexible_columns(few, columns[keep]))
 
 
 def noise_floors(readings: Readings, left: Floats, flexible: Whitener) -> list[Floor]:
-    """The floor of each series: repeats where there are enough and nothing changed between them, else neighbours.
+    """The floor of each series: from repeats where there are enough and nothing changed between them, else neighbours.
 
-    A drift is slow beside the readings, and so is what a model misses: neither counts as noise of a reading. What is
-    slow and follows no recorded channel is shown apart.
+    Drift is slow compared with the readings, and so is what a model misses: neither counts as noise of a reading. A
+    slow change that follows no recorded channel is reported separately.
 
     Args:
         readings: the readings.
-        left: what the model leaves of them, nuisances taken out, (m,).
+        left: residual of the model, nuisances projected out, (m,).
         flexible: from `flexible_noise`.
     """
     rms = rms_by_series(readings, left)
     out, across = [], _across_files(readings, left)
     for s, n, whole, most, other in zip(readings.series, flexible.noises, floors(flexible), rms, across, strict=True):
-        # Noise is never more than what is left.
+        # Noise is never more than the residual.
         quick = min(_quick(s, n), float(most))
         repeated = repeats_floor(readings, [s], left)
         if repeated is None and other is not None and other < quick:
             repeated = other
         if repeated is not None and repeated > CHANGED * quick:
-            repeated = None  # what changed slowly from one visit to the next is drift
+            repeated = None  # a slow change from one visit to the next is drift
         fitted = min(float(whole), float(most))
         drift = math.sqrt(max(fitted**2 - quick**2, 0.0))
         source: FloorFrom = "short-time differences" if repeated is None else "repeats"
@@ -294,7 +294,7 @@ def _across_files(readings: Readings, left: Floats) -> list[float | None]:
 
 
 def _quick(series: Series, noise: Noise) -> float:
-    """What neighbouring readings differ by, over √2: the white noise, and what drifts from one reading to the next."""
+    """Difference of neighbouring readings over √2: the white noise, and the drift from one reading to the next."""
     inside = np.diff(series.time_s)[np.diff(series.run) == 0]
     apart = float(np.median(inside)) if len(inside) else 0.0
     return noise.sigma * math.sqrt(1.0 + noise.drift * -math.expm1(-apart / noise.tau_s))
@@ -324,6 +324,6 @@ def rms_by_series(readings: Readings, left: Floats) -> Floats:
 
 
 def pooled(readings: Readings, by_series: Floats, scale: Floats) -> float:
-    """Root mean square of all readings from that of each series; each times its scale."""
+    """Root mean square of all readings from that of each series, each multiplied by its scale."""
     sizes = np.array([len(s) for s in readings.series], dtype=np.float64)
     return float(np.sqrt(np.average((by_series * scale) ** 2, weights=sizes)))

@@ -1,4 +1,4 @@
-"""Generalised least squares with a noise that is found along with it, and the error on runs that were left out."""
+"""Generalised least squares with a noise estimated in the same fit, and the error on held-out runs."""
 
 import itertools
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 3
 NOTHING = 1e-100
-"""A column of a smaller norm is rounding, and its square would not be a number any more."""
+"""A column of a smaller norm is rounding, and its square would underflow."""
 STEPS = 24
 SMALL = 1e-11
 
@@ -26,7 +26,7 @@ class Fit:
     """A fit of columns to the readings.
 
     Attributes:
-        whitener: the noise that was found.
+        whitener: the estimated noise.
         columns: (m, p).
         values: coefficients, (p,).
         log_likelihood: of the readings, up to a constant.
@@ -39,12 +39,12 @@ class Fit:
 
     @cached_property
     def left(self) -> Floats:
-        """Readings less the fit, (m,)."""
+        """Residual of the fit, (m,)."""
         return np.asarray(self.whitener.readings.values - self.columns @ self.values)
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance of the coefficients under the noise that was found, (p, p)."""
+        """Covariance of the coefficients under the estimated noise, (p, p)."""
         return inverse(self.whitener(self.columns))
 
 
@@ -54,11 +54,11 @@ def fit_columns(
     """Fit columns and noise in turn.
 
     Args:
-        whitener: a noise that is about right, to begin with.
+        whitener: an approximate noise to start with.
         columns: (m, p).
-        rounds: how often the noise is found again.
-        steps: evaluations of each of these searches, for each series.
-        values: coefficients under the noise begun with, (p,); None where they are not known.
+        rounds: number of noise estimates.
+        steps: evaluations of each noise search, for each series.
+        values: coefficients under the first noise, (p,); None where they are unknown.
     """
     readings, now = whitener.readings, whitener
     whole = np.concatenate([columns, readings.values[:, None]], axis=1)
@@ -73,14 +73,14 @@ def fit_columns(
 
 
 def solve(columns: Floats, values: Floats) -> Floats:
-    """Least squares; a direction that the readings do not see gets nothing, (p,); (p, q) for values (m, q)."""
+    """Least squares, (p,), or (p, q) for values (m, q); a direction that the readings do not see gets zero."""
     gram = columns.T @ columns
     size = np.sqrt(np.diag(gram))
     size = np.where(size > NOTHING, size, 1.0)
     scale = np.outer(size, size)
     back = _pseudo(gram / scale) / scale
     found = back @ (columns.T @ values)
-    # One step of refinement gives back the digits that the normal equations lost.
+    # One step of refinement restores the digits that the normal equations lost.
     return np.asarray(found + back @ (columns.T @ (values - columns @ found)))
 
 
@@ -93,7 +93,7 @@ def inverse(columns: Floats) -> Floats:
 
 
 def resolved(columns: Floats) -> Floats:
-    """How far each coefficient is decided by itself, (p,): 1, or less where others could take its place, 0 unseen."""
+    """Share of each coefficient that is determined by itself, (p,): 1; less where others can replace it; 0 unseen."""
     scale = np.linalg.norm(columns, axis=0)
     there = scale > NOTHING
     scaled = columns / np.where(there, scale, 1.0)
@@ -102,7 +102,7 @@ def resolved(columns: Floats) -> Floats:
 
 
 def _pseudo(gram: Floats) -> Floats:
-    """Inverses of symmetric matrices, (…, p, p), without the directions that hardly count."""
+    """Inverses of symmetric matrices, (…, p, p), without their nearly singular directions."""
     if not gram.shape[-1]:
         return gram
     value, vector = np.linalg.eigh(gram)
@@ -113,11 +113,11 @@ def _pseudo(gram: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Error on runs that were left out of the fit.
+    """Error on held-out runs.
 
     Attributes:
         white: sum of squares of whitened residuals, by fold, (folds,).
-        square: mean square of plain residuals, nuisances of each run taken out.
+        square: mean square of plain residuals, nuisances of each run projected out.
         series: the same for each series, (series,).
         folds: sum of squares of plain residuals of each fold, each series over the mean square of the
             readings of equal instruments, (folds,).
@@ -135,23 +135,23 @@ class HeldOut:
 
 
 class Weights(Protocol):
-    """What weighs columns for least squares."""
+    """Weights of columns for least squares."""
 
     @property
     def readings(self) -> Readings:
-        """The readings."""
+        """All readings."""
 
     def __call__(self, columns: Floats) -> Floats:
         """Columns, (m,) or (m, p), weighted."""
 
 
 def held_out(whitener: Weights, columns: Floats, scale: Floats | None = None) -> HeldOut:
-    """Leave out fold by fold, fit the rest, predict what was left out.
+    """Hold out fold by fold, fit the rest, predict the held-out readings.
 
     Args:
         whitener: the weights.
         columns: (m, p).
-        scale: one over the unit of each series in the mean square, (series,); ones where not given.
+        scale: one over the unit of each series in the mean square, (series,); ones by default.
     """
     readings, runs = whitener.readings, _HeldOutRuns(whitener, columns)
     lost, left = runs.errors(columns.shape[1])
@@ -164,7 +164,7 @@ def held_out(whitener: Weights, columns: Floats, scale: Floats | None = None) ->
 
 
 def held_out_gain(whitener: Weights, base: Floats, columns: Floats) -> tuple[float, float]:
-    """What columns, (m, k), beside a base, (m, p), bring on held-out runs.
+    """Improvement on held-out runs by columns, (m, k), beside a base, (m, p).
 
     Returns:
         Relative fall of the mean square, and mean gain of the folds in whitened squares.
@@ -175,7 +175,7 @@ def held_out_gain(whitener: Weights, base: Floats, columns: Floats) -> tuple[flo
 
 
 class _HeldOutRuns:
-    """Normal equations of each fold, for fits of the first so many columns to all others."""
+    """Normal equations of each fold, for fits of the first columns, any number of them, to all other folds."""
 
     def __init__(self, whitener: Weights, columns: Floats) -> None:
         self.readings = readings = whitener.readings
@@ -203,7 +203,7 @@ class _HeldOutRuns:
 
 
 def without_nuisance(readings: Readings, left: Floats) -> Floats:
-    """Residuals less what is unknown of each run (zero, slope), by least squares run by run, (m,) or (m, p)."""
+    """Residuals less the unknowns of each run (zero, slope), by least squares run by run, (m,) or (m, p)."""
     out = left.copy()
     for s in readings.series:
         if s.nuisance.shape[1]:
@@ -212,7 +212,7 @@ def without_nuisance(readings: Readings, left: Floats) -> Floats:
 
 
 def without_runs(series: Series, columns: Floats) -> Floats:
-    """Columns of one series less what is unknown of each run, (n,) or (n, p)."""
+    """Columns of one series less the unknowns of each run, (n,) or (n, p)."""
     if not series.nuisance.shape[1]:
         return columns.copy()
     edges = np.concatenate([[0], np.flatnonzero(np.diff(series.run)) + 1, [len(series)]])

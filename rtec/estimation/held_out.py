@@ -1,8 +1,8 @@
-"""Cuts a measurement into blocks that are left out together, and that count as one in a standard error.
+"""Cuts a measurement into blocks that are held out together, and that count as one in a standard error.
 
-Neighbouring readings share the drift of the hour, so leaving out single readings proves nothing. Where there are
-enough runs, a block is one or more whole runs; else it is a stretch of hours. Where a run has nothing of its own, its
-number is but a way of numbering: runs that are less than a way there and back, or all one, are cut by such ways.
+Neighbouring readings share the drift of the hour, so holding out single readings proves nothing. Where there are
+enough runs, a block is one or more whole runs; else it is a stretch of hours. A run without unknowns of its own is only
+a numbering: where such runs are shorter than a way there and back, or all are one run, blocks are made of such ways.
 """
 
 from collections.abc import Sequence
@@ -16,32 +16,32 @@ from rtec.metrology.measurement import Measurement
 Ints = NDArray[np.int64]
 
 ENOUGH_RUNS = 6
-"""From so many runs on, whole runs are left out; below, stretches of time."""
+"""From this many runs on, whole runs are held out; below, stretches of time."""
 MOST_BLOCKS = 40
 MANY_BLOCKS = 400
-"""Of many measurements each is cut into fewer blocks, so that all together are no more than so many."""
+"""Many measurements are cut into fewer blocks each, so that the total is no larger than this."""
 FOLDS = 8
-"""Blocks are dealt into so many folds in turn, as cards are: each spans the day, so that no prediction leaves what was
-measured."""
+"""Blocks are dealt into this many folds in turn, as cards are: each fold spans the day, so that no prediction leaves
+the measured range."""
 STRETCH_H = 4.0
-"""A thermal cycle's part: long against the machine's quick drift, short against a day."""
+"""A part of a thermal cycle: long against the machine's quick drift, short against a day."""
 STILL_MM = 1e-3
 QUARTER = 0.25
 NEAR = 0.01
-"""Places nearer to each other than this share of what was visited are one."""
+"""Places within this share of the visited range are one."""
 FEWEST = 8
-"""A measurement too short for five such stretches is cut into so many equal ones."""
+"""A measurement too short for five such stretches is cut into this many equal ones."""
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Where blocks begin, and what they belong to.
+    """Edges of blocks, and their folds and runs.
 
     Attributes:
         edges: first row of each block, and the number of rows, (blocks + 1,).
-        fold: which blocks are left out together, (blocks,).
+        fold: fold of each block, (blocks,).
         run_edges: first row of each run, and the number of rows, (runs + 1,).
-        by_time: blocks are stretches of time, so a run may lie in several.
+        by_time: blocks are stretches of time, so a run may be in several.
     """
 
     edges: Ints
@@ -50,7 +50,7 @@ class Blocks:
     by_time: bool
 
     def at(self, rows: Ints) -> "Blocks":
-        """The same cuts where only some rows are left; a block that has none left goes."""
+        """The same cuts for a part of the rows; without blocks that become empty."""
         edges = np.searchsorted(rows, self.edges)
         kept = np.diff(edges) > 0
         runs = np.unique(np.searchsorted(rows, self.run_edges))
@@ -58,7 +58,7 @@ class Blocks:
 
     @property
     def one(self) -> "Blocks":
-        """Everything in one block, where only the sum is wanted."""
+        """Everything in one block, where only the sum is needed."""
         ends = np.array([self.edges[0], self.edges[-1]])
         return Blocks(ends, np.zeros(1, dtype=np.int64), self.run_edges, self.by_time)
 
@@ -69,7 +69,7 @@ class Blocks:
 
 
 def cuts(measurements: Sequence[Measurement], leave_out_h: float | None = None) -> list[Blocks]:
-    """Cut measurements that are judged together; the one cut that every command holds out by.
+    """Cut measurements that are judged together; every command holds out by this cut.
 
     Args:
         measurements: their rows are in order of time; a run number that comes back later is another run.
@@ -84,9 +84,9 @@ def cut(measurement: Measurement, leave_out_h: float | None = None, most: int = 
 
     Args:
         measurement: its rows are in order of time; a run number that comes back later is another run.
-        leave_out_h: length of what is left out, hours; None: whole runs where there are at least 6 that have a zero of
+        leave_out_h: length of a held-out stretch, hours; None: whole runs where there are at least 6 with a zero of
             their own or an axis that comes back, else 4 h, or an eighth where the whole is shorter than 20 h.
-        most: so many blocks of whole runs.
+        most: largest number of blocks of whole runs.
     """
     run_edges = edges_of(measurement.run)
     whole = _whole(measurement, run_edges)
@@ -111,9 +111,9 @@ def _whole(measurement: Measurement, run_edges: Ints) -> Ints:
 def cycles(measurement: Measurement) -> Ints:
     """First row of each way there and back, and the number of rows.
 
-    Of the axis that the instrument follows, or of which it reads a component; else of the one that goes the fewest. A
-    way begins at the lowest place between two visits to the upper quarter of what was visited, so that neither
-    the jitter of a place nor the numbering of runs counts. Where no axis comes back, the measurement is one.
+    The axis is the one that the instrument follows, or of which it reads a component; else the one with the fewest
+    ways. A way begins at the lowest place between two visits to the upper quarter of the visited range, so that neither
+    the jitter of a place nor the numbering of runs counts. Where no axis comes back, the measurement is one way.
     """
     machine, channels, n = measurement.machine, measurement.channels, len(measurement)
     instrument, found = measurement.instrument, []
@@ -128,7 +128,7 @@ def cycles(measurement: Measurement) -> Ints:
 
 
 def _returns(place: NDArray[np.float64]) -> Ints:
-    """Rows at which ways begin but the first: the last at the lowest place between two visits of the upper quarter."""
+    """Rows at which all ways but the first begin: the last at the lowest place between visits to the upper quarter."""
     low, high = float(place.min()), float(place.max())
     side = np.where(place > high - QUARTER * (high - low), 1, np.where(place < low + QUARTER * (high - low), -1, 0))
     far = np.flatnonzero(side)
@@ -163,7 +163,7 @@ def _by_time(measurement: Measurement, run_edges: Ints, leave_out_h: float | Non
     if span <= 0.0:
         hours, span = np.arange(n) / max(n - 1, 1), 1.0
     length = leave_out_h or (STRETCH_H if span >= 5 * STRETCH_H else span / FEWEST)
-    # What is left at the end, if shorter than half a stretch, belongs to the last one.
+    # A rest at the end that is shorter than half a stretch belongs to the last one.
     count = max(int(span / length + 0.5), 1)
     label = np.minimum((hours / length).astype(np.int64), count - 1)
     edges = edges_of(label)

@@ -1,7 +1,7 @@
-"""Refits all numbers of a model together, non-linear ones too, under the noise that the readings show.
+"""Refits all numbers of a model together, non-linear ones too, under the noise of the readings.
 
-What the given measurements do not show stays as it is: numbers move from where they are, and the less sure a number
-was, the freer it moves.
+A number that the measurements do not show keeps its value. Numbers move from their current values, the more freely
+the less certain they were.
 """
 
 import math
@@ -30,11 +30,11 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LOOSE = 30.0
-"""So many of its standard errors a number may move freely where the same readings are fitted again."""
+"""Standard errors that a number may move freely where the same readings are fitted again."""
 LOOSENESS = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 100.0)
-"""What is tried where the readings are new."""
+"""The values to choose from where the readings are new."""
 NEW = 1e6
-"""Standard deviation of the prior of a number nobody has fitted yet, over its usual size."""
+"""Standard deviation of the prior of a number without an earlier fit, over its usual size."""
 ROUNDS = 2
 EVALUATIONS = 40
 TOLD = 4
@@ -45,14 +45,14 @@ class Joint:
     """A joint refit.
 
     Attributes:
-        effects: with their numbers.
+        effects: with refitted numbers.
         whitener: the noise.
         columns: of every linear number, then terms of the set-up, (m, p).
-        left: readings less the fit, (m,).
+        left: residual of the fit, (m,).
         weights: of the fit; ordinary ones where generalised least squares predicts held-out runs worse.
-        disputed: numbers of which both disagree by more than their errors, in words.
+        disputed: numbers on which both fits disagree by more than their errors, in words.
         plain: the ordinary fit.
-        undetermined: effects of which only the sum with others is known, by number.
+        undetermined: effects, by number, of which only the sum with others is determined.
     """
 
     effects: tuple[FittedEffect, ...]
@@ -66,8 +66,8 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class _Found:
-    """Numbers found under some weights."""
+class _Numbers:
+    """Numbers fitted under some weights."""
 
     weights: Whitener | Plain
     noise: Whitener
@@ -82,7 +82,7 @@ class _Found:
 
 @dataclass
 class _Work:
-    """Effects with the columns that do not change while non-linear parameters are searched for."""
+    """Effects with the columns that stay constant during a search of non-linear parameters."""
 
     effects: Sequence[Effect]
     readings: Readings
@@ -113,9 +113,9 @@ def joint_fit(
 
     Args:
         effects: with the numbers to start from; a new one with `errors` empty and coefficients zero.
-        readings: what was measured, with the channels that the loop will see.
-        search: also search for non-linear parameters.
-        loose: how many of its standard errors a number may move freely; None: as the readings make it likeliest.
+        readings: all readings, with the channels that the loop has.
+        search: also refit non-linear parameters.
+        loose: standard errors that a number may move freely; None: the most likely value for these readings.
         least: smallest white noise of each series, as `least_noise` gives it; empty for none.
 
     Raises:
@@ -131,18 +131,18 @@ def joint_fit(
     return replace(by_weight if as_good(*judged) else ordinary, disputed=words, plain=ordinary)
 
 
-def _joint(effects: Sequence[FittedEffect], readings: Readings, found: _Found) -> Joint:
+def _joint(effects: Sequence[FittedEffect], readings: Readings, found: _Numbers) -> Joint:
     numbers, loose = _numbers(effects, readings, found)
     left = found.left(readings)
     return Joint(numbers, found.noise, found.columns, left, found.weights, undetermined=loose)
 
 
 APART = 3.0
-"""Standard errors between the numbers of both fits from which on they disagree."""
+"""From this many standard errors between both fits on, they disagree about a number."""
 
 
 def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[str, ...]:
-    """Words for numbers that weighing by the noise moves by more than their errors."""
+    """Words on numbers that the noise weights move by more than their errors."""
     out = []
     for one, two in zip(weighed.effects, plain.effects, strict=True):
         for name, value in two.values.items():
@@ -166,8 +166,8 @@ def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[
 
 def _weighed(
     work: _Work, free: Sequence[tuple[int, Parameter]], loose: float | None, least: tuple[float, ...]
-) -> _Found:
-    """Generalised least squares, with the noise found along."""
+) -> _Numbers:
+    """Generalised least squares, with the noise estimated in the same fit."""
     readings, effects = work.readings, work.start
     thetas = [dict(f.theta) for f in effects]
     columns = work.columns(thetas)
@@ -180,10 +180,10 @@ def _weighed(
         values = _values(effects, readings, whitener, columns, loose)
         whitener = refine(whitener, readings.values - columns @ values, 30)
     values = _values(effects, readings, whitener, columns, loose)
-    return _Found(whitener, whitener, thetas, columns, values, loose)
+    return _Numbers(whitener, whitener, thetas, columns, values, loose)
 
 
-def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Found) -> _Found:
+def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Numbers) -> _Numbers:
     """Ordinary robust least squares."""
     readings, effects = work.readings, work.start
     thetas = [dict(f.theta) for f in effects]
@@ -196,7 +196,7 @@ def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Foun
             plain, values = plain_fit(readings, weighed.noise, columns)
     plain = plain.refined(readings.values - columns @ values, columns)
     values = _values(effects, readings, plain, columns, weighed.loose)
-    return _Found(plain, plain.noise, thetas, columns, values, weighed.loose)
+    return _Numbers(plain, plain.noise, thetas, columns, values, weighed.loose)
 
 
 def _columns(effect: Effect, theta: Mapping[str, float], readings: Readings) -> Floats:
@@ -207,7 +207,7 @@ def _columns(effect: Effect, theta: Mapping[str, float], readings: Readings) -> 
 
 
 def _free(effects: Sequence[FittedEffect], readings: Readings) -> list[tuple[int, Parameter]]:
-    """Non-linear parameters with bounds, of effects that the readings see; what a number is lies within its bounds."""
+    """Bounded non-linear parameters of effects that the readings see; the upper bound includes the current value."""
     return [
         (i, replace(p, high=max(p.high, f.theta[p.name])))
         for i, f in enumerate(effects)
@@ -244,7 +244,7 @@ def _polish(
 
 
 def _prior(effects: Sequence[FittedEffect], readings: Readings, loose: float) -> tuple[Floats, Floats]:
-    """Where the linear numbers start, and how far they may move, set-up terms last."""
+    """Start of the linear numbers and their prior standard deviations, (p,) each, set-up terms last."""
     centre: list[float] = []
     spread: list[float] = []
     for f in effects:
@@ -258,7 +258,7 @@ def _prior(effects: Sequence[FittedEffect], readings: Readings, loose: float) ->
 
 
 def _likeliest(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> float:
-    """How loose the numbers are, by the evidence of the readings for each looseness: they may have changed, or not."""
+    """The looseness with the largest evidence: the numbers may have changed, or not."""
     white = whitener(columns)
     best, most = LOOSE, -np.inf
     for loose in LOOSENESS:
@@ -278,7 +278,7 @@ def _likeliest(effects: Sequence[FittedEffect], readings: Readings, whitener: Wh
 def _values(
     effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener | Plain, columns: Floats, loose: float
 ) -> Floats:
-    """Generalised least squares that begins at the numbers as they are, (p,)."""
+    """Generalised least squares that starts at the current numbers, (p,)."""
     centre, spread = _prior(effects, readings, loose)
     white = whitener(columns)
     rows = np.diag(1.0 / spread)
@@ -288,9 +288,9 @@ def _values(
 
 
 def _numbers(
-    effects: Sequence[FittedEffect], readings: Readings, found: _Found
+    effects: Sequence[FittedEffect], readings: Readings, found: _Numbers
 ) -> tuple[tuple[FittedEffect, ...], tuple[int, ...]]:
-    """Effects with the numbers found and their standard errors; and those of which only the sum is known."""
+    """Effects with their refitted numbers and standard errors; and those of which only the sum is determined."""
     machine, at = readings.machine, 0
     columns, thetas, values, loose = found.columns, found.thetas, found.values, found.loose
     filled: list[FittedEffect] = []
@@ -321,15 +321,15 @@ def _numbers(
     return tuple(out), _undetermined(readings, found, whole[:, terms], known[np.ix_(terms, terms)], of)
 
 
-def _undetermined(readings: Readings, found: _Found, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:
-    """Effects of which only the sum with others is known.
+def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:
+    """Effects of which only the sum with others is determined.
 
     Args:
-        readings: that were fitted.
+        readings: of the fit.
         found: the fit.
         columns: of coefficients, then slopes, (m, k).
         known: their covariance, (k, k).
-        of: which effect each is of, (k,).
+        of: number of the effect of each, (k,).
     """
     left = found.left(readings)
     weigh = found.weights if isinstance(found.weights, Plain) else weights(readings, found.noise, left)
@@ -344,7 +344,7 @@ def _undetermined(readings: Readings, found: _Found, columns: Floats, known: Flo
 
 
 def _errors_of(before: FittedEffect, errors: Floats, places: Mapping[str, int]) -> dict[str, float]:
-    """Standard errors by name; a number that the readings do not see keeps the one that it had."""
+    """Standard errors by name; a number that the readings do not see keeps its earlier one."""
     out = {}
     for name, place in places.items():
         error = errors[place] if np.isfinite(errors[place]) else before.errors.get(name, 0.0)

@@ -12,7 +12,7 @@ from rtec.estimation import floor
 from rtec.estimation.columns import Base, base_of
 from rtec.estimation.floor import Floor, Unit
 from rtec.estimation.gls import HeldOut, held_out
-from rtec.estimation.noise import Whitener, found_on_stretches
+from rtec.estimation.noise import Whitener, noise_on_stretches
 from rtec.estimation.outliers import Clean
 from rtec.estimation.plain import Plain, as_good, plain_fit
 from rtec.estimation.readings import Readings
@@ -23,15 +23,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MeasurementMet:
-    """How well one measurement is met; root mean squares over all of its reading columns.
+    """How well the model meets one measurement; root mean squares over all of its reading columns.
 
     Attributes:
-        unit: of what follows.
-        readings: that count.
-        measured: less what the instrument cannot know.
-        residual: what the model leaves.
-        held_out: on held-out runs, the model's numbers refitted to the others.
-        floor: the noise.
+        unit: of the following values.
+        readings: number of readings that count.
+        measured: readings less what the instrument cannot know.
+        residual: of the model.
+        held_out: error on held-out runs, with the model's numbers refitted to the others.
+        floor: noise floor.
     """
 
     unit: Unit
@@ -44,11 +44,11 @@ class MeasurementMet:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A model as it stands, on readings that count.
+    """A model with its current numbers, on readings that count.
 
     Attributes:
         model: as given.
-        given: the readings, with those that were left out.
+        given: the readings, and the rejected ones.
         scales: one over the unit of each series, (series,); None for those of its own floors.
     """
 
@@ -58,7 +58,7 @@ class Judgement:
 
     @property
     def readings(self) -> Readings:
-        """Those that count."""
+        """The readings that count."""
         return self.given.readings
 
     @cached_property
@@ -73,17 +73,17 @@ class Judgement:
 
     @cached_property
     def floors(self) -> list[Floor]:
-        """Noise of each series."""
+        """Noise floor of each series."""
         return floor.noise_floors(self.readings, self.left, self.flexible)
 
     @cached_property
     def flexible(self) -> Whitener:
-        """Noise beside everything that goes smoothly with the channels."""
+        """Noise fitted together with every smooth function of the channels."""
         return floor.flexible_noise(self.readings, self.base.columns)
 
     @property
     def unit(self) -> Unit:
-        """Of all that follows."""
+        """Unit of all root mean squares below."""
         return floor.unit_of(self.readings)
 
     @cached_property
@@ -101,12 +101,12 @@ class Judgement:
 
     @cached_property
     def residual(self) -> float:
-        """Root mean square of the residual."""
+        """Root mean square of the residual, in `unit`."""
         return self.pooled(self.left)
 
     @cached_property
     def noise_floor(self) -> float:
-        """Root mean square of the noise."""
+        """Root mean square of the noise, in `unit`."""
         return floor.pooled(self.readings, np.array([f.value for f in self.floors]), self.scale)
 
     @cached_property
@@ -116,7 +116,7 @@ class Judgement:
 
     @property
     def floor_from(self) -> str:
-        """Where the noise floor comes from."""
+        """Source of the noise floor."""
         return " and ".join(sorted({f.source for f in self.floors}))
 
     @cached_property
@@ -125,12 +125,12 @@ class Judgement:
 
     @cached_property
     def noise(self) -> Whitener:
-        """Noise beside the model's own columns."""
-        return found_on_stretches(self.readings, lambda _, keep: self.base.columns[keep])
+        """Noise fitted together with the model's own columns."""
+        return noise_on_stretches(self.readings, lambda _, keep: self.base.columns[keep])
 
     @property
     def _weights(self) -> tuple[Whitener, Plain]:
-        """Those of both kinds of least squares."""
+        """Weights of generalised and of ordinary least squares."""
         return self.noise, self._plain[0]
 
     @cached_property
@@ -141,26 +141,26 @@ class Judgement:
 
     @cached_property
     def _held_out(self) -> HeldOut:
-        """On held-out runs, with the numbers refitted to the others by the better of both kinds of least squares."""
+        """Error on held-out runs, with the numbers refitted to the others by the better kind of least squares."""
         columns = self.base.columns
         weighted, plain = (held_out(w, columns, self.scale) for w in self._weights)
         return weighted if as_good(weighted, plain) else plain
 
     @property
     def held_out(self) -> float:
-        """Root mean square error on held-out runs."""
+        """Root mean square error on held-out runs, in `unit`."""
         return self._held_out.rms
 
     @cached_property
     def untouched(self) -> float:
-        """Root mean square error on held-out runs of the model with its own numbers; only the set-up is fitted."""
+        """Root mean square error on held-out runs with the model's current numbers; only the set-up is fitted."""
         return self.with_own(len(self.model.effects))
 
     def with_own(self, count: int) -> float:
-        """Root mean square error on held-out runs if the first effects keep their numbers, and all others are refitted.
+        """Root mean square error on held-out runs if the first effects keep their numbers and all others are refitted.
 
         Args:
-            count: of effects that keep their numbers: none of them has been fitted to these readings.
+            count: number of effects that keep their numbers; none of them was fitted to these readings.
         """
         kept, others = (replace(self.model, effects=part) for part in _cut(self.model.effects, count))
         alone = replace(self.readings, values=self.readings.values - base_of(kept, self.readings).predicted)
@@ -170,7 +170,7 @@ class Judgement:
 
     @cached_property
     def by_measurement(self) -> tuple["MeasurementMet", ...]:
-        """How well each measurement is met."""
+        """How well the model meets each measurement."""
         measured = floor.flattened(self.readings, self.readings.values)
         sizes = (
             floor.rms_by_series(self.readings, measured),

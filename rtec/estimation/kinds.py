@@ -1,7 +1,7 @@
-"""Series of equal instruments count alike: what one of them happens to show less of is not worth more.
+"""Series of equal instruments get similar weights: a series that shows less of an error is not worth more.
 
-A cold day that hardly errs would else outweigh the hot one that shows the error: what is left of the hot one is not
-its noise but what the model misses, and no reading is worth more than the model is right.
+Otherwise a cold day with little error would outweigh the hot one that shows it. The residual of the hot day is not its
+noise but what the model misses, and no reading deserves more weight than the model is accurate.
 """
 
 from collections.abc import Hashable, Sequence
@@ -15,11 +15,11 @@ Floats = NDArray[np.float64]
 
 SIGMA_PER_MAD = 1.4826
 QUANTISED = 0.005
-"""The noise between neighbours is never below this share of the residual: quantised readings are mostly equal."""
+"""The noise between neighbours is at least this share of the residual: quantised readings are mostly equal."""
 
 
 def kinds_of(readings: Readings) -> list[Hashable]:
-    """Which series are of equal instruments, on the same axis or component."""
+    """Kind of each series: equal for equal instruments on the same axis or component."""
     made_by = [readings.measurements[s.source].instrument for s in readings.series]
     return [(m.name, m.axis, m.component, s.column) for m, s in zip(made_by, readings.series, strict=True)]
 
@@ -32,7 +32,7 @@ def spreads(readings: Readings, values: Floats) -> Floats:
 
 
 def neighbour_noise(left: Floats, run: NDArray[np.int64]) -> float:
-    """Noise of residuals, (n,), from how each differs from the middle of its neighbours in its run, robustly."""
+    """Robust noise of residuals, (n,), from how each differs from the middle of its neighbours in its run."""
     size = float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
     bend = np.abs(left[1:-1] - 0.5 * (left[:-2] + left[2:]))[run[2:] == run[:-2]]
     bend = bend[np.isfinite(bend)]
@@ -41,10 +41,10 @@ def neighbour_noise(left: Floats, run: NDArray[np.int64]) -> float:
 
 
 def alike(kinds: Sequence[Hashable], sigma: Floats, quick: Floats, count: NDArray[np.int64]) -> Floats:
-    """Residuals of equal instruments: the noise between neighbours of each, and beside it what all have in common.
+    """Residual size of each series, (series,): its noise between neighbours, and the rest common to its kind.
 
     Args:
-        kinds: which series are of equal instruments.
+        kinds: of the series.
         sigma: residual of each series, (series,).
         quick: its noise between neighbours, (series,).
         count: its readings, (series,).

@@ -1,7 +1,7 @@
-"""A run whose zero has moved: apart from the runs before and after it, at all places alike, for no recorded reason.
+"""A run whose zero moved: it differs from the runs before and after it, equally at all places, for no recorded reason.
 
-The display was zeroed again, or the reflector was touched, and afterwards put right. No effect of a machine comes
-and goes like that; one that is fitted to it is invented.
+The display was zeroed again, or the reflector was touched, and corrected afterwards. No effect of a machine appears and
+disappears like that; an effect that is fitted to it is an artefact.
 """
 
 from dataclasses import dataclass
@@ -20,29 +20,29 @@ Ints = NDArray[np.int64]
 FEW_RUNS, FEW_PLACES = 4, 5
 """Fewest runs, and fewest places that a run shares with the run before it and after it."""
 LEAST, EVEN = 10.0, 0.7
-"""The jump is this percentile of the changes at all places. It must be this share of their median: heat moves the
-places by different amounts, a zero moves all alike."""
+"""The jump is this percentile of the changes at all places, and at least this share of their median: heat moves the
+places by different amounts, a zero moves all equally."""
 NOISE, USUAL, OTHERS = 10.0, 5.0, 4.0
-"""So many times the scatter between runs; so many times what other runs usually move from one to the next; and so many
-times farther from both runs beside it than any other run is from its own."""
+"""A jump is at least this many times the scatter between runs, this many times the usual step of the other runs, and
+makes the run this many times farther from both neighbouring runs than any other run is from its own."""
 RUNS_EACH, WAYS = 3, 4
-"""Runs beyond the first two for each way of getting warm that the changes may go with, and the most of these."""
+"""Runs beyond the first two for each principal component of the temperatures; most of these components."""
 SEEN = 1e-6
-"""Columns of heat are one where they differ by a smaller share."""
+"""Columns of heat within this relative difference are one."""
 STAYED = 0.5
-"""A zero of its own leaves at most this share of what one leaves that moved once and stayed."""
+"""The residual with a zero of its own is at most this share of that with a zero that moved once and stayed."""
 OWN = 0.1
-"""Share of a zero of its own that heat cannot make, at the least."""
+"""Least share of a zero of its own that heat cannot explain."""
 
 
 @dataclass(frozen=True)
 class MovedZero:
-    """A run whose zero has moved.
+    """A run whose zero moved.
 
     Attributes:
         series: number of its series.
         run: its number in the file.
-        by: how far, with sign, in the unit of the readings.
+        by: the jump, with sign, in the unit of the readings.
         readings: which readings it has, (m,).
         message: in words, without a full stop.
     """
@@ -58,9 +58,9 @@ STEP = 'leave that run out, or write zero = "run" in the [setup] of the file, so
 
 
 def moved_zeros(readings: Readings) -> list[MovedZero]:
-    """Runs that are apart from both runs beside them, at all places alike, while nothing that was recorded is.
+    """Runs that differ from both neighbouring runs, equally at all places, while no recorded channel does.
 
-    A run with a zero of its own cannot be, nor can the first or the last: what changed there may have stayed so.
+    Runs with a zero of their own are excluded, and so are the first and the last: a change there may have persisted.
     """
     out = []
     for i, s in enumerate(readings.series):
@@ -83,7 +83,7 @@ def moved_zeros(readings: Readings) -> list[MovedZero]:
 
 
 def _jump(readings: Readings, s: Series) -> tuple[int, float] | None:
-    """The run of a series whose zero has moved, and how far."""
+    """The run of a series whose zero moved, and the jump."""
     runs = int(s.run[-1]) + 1
     if runs < FEW_RUNS:
         return None
@@ -108,7 +108,7 @@ def _jump(readings: Readings, s: Series) -> tuple[int, float] | None:
 
 
 def _best(before: Ints, after: Ints, change: Floats, heat: Floats, runs: int) -> tuple[int, float, Floats] | None:
-    """The run whose own zero explains most of the changes, that zero, and the changes less what goes with heat.
+    """The run whose own zero explains most of the changes, that zero, and the changes less the part that heat explains.
 
     None where no run can have one, or where a zero that moved once and stayed explains as much.
     """
@@ -131,7 +131,7 @@ def _best(before: Ints, after: Ints, change: Floats, heat: Floats, runs: int) ->
 
 
 def _explained(sums: Floats) -> tuple[Floats, Floats]:
-    """Of steps beside heat, sums as of `_best`: the sum of squares that each explains, and its size, (steps,)."""
+    """Sum of squares that each step beside heat explains, and the step's size, (steps,) each; sums as of `_best`."""
     left = sums[:, 0] - np.sum(sums[:, 2:] ** 2, axis=1)
     size = np.where(left > OWN * sums[:, 0], sums[:, 1] / np.maximum(left, 1e-12), 0.0)
     return size**2 * left, size
@@ -139,7 +139,7 @@ def _explained(sums: Floats) -> tuple[Floats, Floats]:
 
 def _changes(readings: Readings, s: Series) -> tuple[Ints, Ints, Floats, Floats]:
     """From each reading to the next one of another run at the same place, reached from the same side: both runs, the
-    change, and what heat may make of it, (pairs, columns).
+    change, and the columns of heat, (pairs, columns).
     """
     pose, state = readings.poses_mm[s.source][s.row], readings.states[s.source]
     ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
@@ -153,7 +153,7 @@ def _changes(readings: Readings, s: Series) -> tuple[Ints, Ints, Floats, Floats]
 
 
 def _warm(readings: Readings, s: Series) -> Floats:
-    """How warm it is: the largest principal components of the temperatures, one for each few runs, K, (n, k)."""
+    """The largest principal components of the temperatures, one for each few runs, K, (n, k)."""
     state = readings.states[s.source]
     known = [state.channels[n][s.row] for n in readings.machine.sensor_names if n in state.channels]
     table = np.array([t - t.mean() for t in known if np.isfinite(t).all()]).reshape(-1, len(s))
@@ -163,7 +163,7 @@ def _warm(readings: Readings, s: Series) -> Floats:
 
 
 def _all_alike(change: Floats) -> float:
-    """By how much all places have moved at the least, with sign; zero where they have not all moved alike."""
+    """Smallest common change of all places, with sign; zero where they did not all move alike."""
     if len(change) < FEW_PLACES:
         return 0.0
     middle = float(np.median(change))
@@ -172,12 +172,12 @@ def _all_alike(change: Floats) -> float:
 
 
 def _apart(before: float, after: float) -> float:
-    """How far a run is from the nearer of both runs beside it; zero where it lies between them."""
+    """Distance of a run from the nearer of its neighbouring runs; zero where it is between them."""
     return min(before, after, key=abs) if before * after > 0.0 else 0.0
 
 
 def _has_reason(readings: Readings, s: Series, run: int, before: Ints, after: Ints) -> bool:
-    """Whether a recorded channel, too, is apart from both."""
+    """Whether a recorded channel differs from both neighbouring runs, too."""
     state = readings.states[s.source]
     rows = [s.row[np.isin(s.run, which)] for which in (run, before, after)]
     for name in (*readings.machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"):

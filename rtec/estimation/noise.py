@@ -1,7 +1,7 @@
-"""The noise of each series: white, drifting, and an offset for each run; found by restricted maximum likelihood.
+"""The noise of each series: white, drift, and an offset of each run; estimated by restricted maximum likelihood.
 
-Without a drift model every method cries wolf: neighbouring readings share the drift of the hour, and what is shared
-looks like an effect of anything that also changes slowly.
+Without a drift model every method gives false alarms: neighbouring readings share the drift of the hour, and this
+shared part looks like any effect that also changes slowly.
 """
 
 import math
@@ -20,20 +20,20 @@ from rtec.wording import significant
 Floats = NDArray[np.float64]
 
 WIDE = 1e5
-"""Variance of a run's unknowns over that of the readings: large, so that only the readings decide."""
+"""Variance of a run's unknowns over that of the readings: large, so that only the readings determine them."""
 USUAL_DRIFT, SPREAD = math.log(1.0), 2.5
 """Weak prior on the drift's variance over the white noise's: log-normal, centre and spread of the logarithm."""
 USUAL_OFFSET = math.log(0.3)
 START = ((0.2, 0.01), (0.2, 0.05), (2.0, 0.05), (2.0, 0.25), (20.0, 0.25))
-"""Where the search looks first: drift's variance, and time constant as a share of the record."""
+"""Start of the search: drift's variance, and time constant as a share of the record."""
 STEPS = 60
 MANY, STRETCH = 8000, 400
-"""A longer series is searched through stretches of so many readings, so many in all."""
+"""Readings of the longest series that is searched whole; of a longer one, stretches of `STRETCH`, `MANY` in total."""
 DRIFT_BOUNDS = (1e-4, 1e5)
 INEXACT = 0.05
-"""No law of a machine is truer than so: this share of what it is to explain counts as white noise at the least.
+"""No law of a machine is more accurate than this: the least white noise, as a share of what it is to explain.
 
-Else the likelihood of very quiet readings is ruled by quick changes far below what anybody wants explained.
+Otherwise quick changes far below any interest would dominate the likelihood of very quiet readings.
 """
 
 
@@ -55,23 +55,23 @@ class Noise:
 
     @property
     def floor(self) -> float:
-        """What noise alone leaves, root mean square."""
+        """Root mean square of noise alone, in the unit of the readings."""
         return self.sigma * math.sqrt(1.0 + self.drift + self.offset)
 
     def words(self, name: str, unit: str) -> str:
         """In words."""
         u = "µm" if unit == "um" else "µrad"
         drift, offset = self.sigma * math.sqrt(self.drift), self.sigma * math.sqrt(self.offset)
-        said = f"{name}: white noise {significant(self.sigma, 2)} {u}"
+        text = f"{name}: white noise {significant(self.sigma, 2)} {u}"
         if drift > 0.2 * self.sigma:
-            said += f", drift {significant(drift, 2)} {u} with a memory of {minutes(self.tau_s)}"
+            text += f", drift {significant(drift, 2)} {u} with a memory of {minutes(self.tau_s)}"
         if offset > 0.2 * self.sigma:
-            said += f", offset from run to run {significant(offset, 2)} {u}"
-        return said
+            text += f", offset from run to run {significant(offset, 2)} {u}"
+        return text
 
 
 def minutes(seconds: float) -> str:
-    """A time as people say it."""
+    """A duration in words."""
     if seconds < 120.0:
         return f"{seconds:.0f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
@@ -95,12 +95,21 @@ class Filter:
         return out
 
 
-def make_filter(series: Series, wide: Floats, noise: Noise) -> Filter:
-    """Work out the filter of a series under a noise."""
+def make_filter(series: Series, run_variance: Floats, noise: Noise) -> Filter:
+    """The filter of a series under a noise."""
     n, k = series.nuisance.shape
     decay, gain, scale = np.empty(n), np.empty((n, 2 + k)), np.empty(n)
     log_det = gains(
-        series.time_s, series.run, series.nuisance, noise.drift, noise.tau_s, noise.offset, wide, decay, gain, scale
+        series.time_s,
+        series.run,
+        series.nuisance,
+        noise.drift,
+        noise.tau_s,
+        noise.offset,
+        run_variance,
+        decay,
+        gain,
+        scale,
     )
     return Filter(series, noise.sigma, decay, gain, scale, log_det)
 
@@ -112,20 +121,20 @@ class Whitener:
     Attributes:
         readings: the readings.
         noises: of each series.
-        wides: variances of the unknowns of each run over that of the white noise, for each series.
+        run_variances: variances of the unknowns of each run over that of the white noise, for each series.
         least: smallest white noise of each series, in its unit; empty for none.
     """
 
     readings: Readings
     noises: tuple[Noise, ...]
-    wides: tuple[Floats, ...]
+    run_variances: tuple[Floats, ...]
     least: tuple[float, ...] = ()
 
     @cached_property
     def filters(self) -> tuple[Filter, ...]:
         """One for each series."""
         return tuple(
-            make_filter(s, w, n) for s, w, n in zip(self.readings.series, self.wides, self.noises, strict=True)
+            make_filter(s, w, n) for s, w, n in zip(self.readings.series, self.run_variances, self.noises, strict=True)
         )
 
     @cached_property
@@ -142,7 +151,7 @@ class Whitener:
         return out[:, 0] if flat else out
 
     def covary(self, columns: Floats) -> Floats:
-        """Columns, (m, p), times the covariance of the readings, the unknowns of each run aside."""
+        """Columns, (m, p), times the covariance of the readings without the unknowns of each run."""
         out = np.empty_like(columns)
         for s, n in zip(self.readings.series, self.noises, strict=True):
             mine = np.ascontiguousarray(columns[s.part])
@@ -154,22 +163,22 @@ class Whitener:
 
     def with_noises(self, noises: Sequence[Noise]) -> "Whitener":
         """The same readings under other noises."""
-        least = self.least or (0.0,) * len(self.wides)
-        return Whitener(self.readings, tuple(map(_at_least, noises, least)), self.wides, self.least)
+        least = self.least or (0.0,) * len(self.run_variances)
+        return Whitener(self.readings, tuple(map(_at_least, noises, least)), self.run_variances, self.least)
 
     @property
     def floor(self) -> Floats:
-        """What noise alone leaves of each series, (series,)."""
+        """Root mean square of noise alone, (series,)."""
         return np.fromiter((n.floor for n in self.noises), dtype=np.float64)
 
 
 def least_noise(readings: Readings, left: Floats) -> tuple[float, ...]:
-    """The least white noise of each series where so much, (m,), is left to be explained."""
+    """The least white noise of each series, given what is to be explained, (m,)."""
     return tuple(INEXACT * math.sqrt(float(np.mean(left[s.part] ** 2))) for s in readings.series)
 
 
 def _at_least(noise: Noise, sigma: float) -> Noise:
-    """A noise whose white part is no smaller than given; drift and offset stay what they are."""
+    """A noise whose white part is at least `sigma`; drift and offset keep their size."""
     if noise.sigma >= sigma:
         return noise
     less = (noise.sigma / sigma) ** 2
@@ -177,7 +186,7 @@ def _at_least(noise: Noise, sigma: float) -> Noise:
 
 
 def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tuple[float, ...] = ()) -> Whitener:
-    """Find the noise of every series with the current model's columns as its mean.
+    """Estimate the noise of every series, with the current model's columns as its mean.
 
     Args:
         readings: the readings.
@@ -185,21 +194,21 @@ def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tupl
         steps: evaluations of the search, for each series.
         least: smallest white noise of each series; empty for none.
     """
-    noises, wides = [], []
+    noises, run_variances = [], []
     for s in readings.series:
         y = readings.values[s.part]
-        wide = _wide(s, y)
-        wides.append(wide)
-        noises.append(_reml(s, wide, _orthonormal(base[s.part]), y, steps))
-    return Whitener(readings, (), tuple(wides), least).with_noises(noises)
+        run_variance = _run_variance(s, y)
+        run_variances.append(run_variance)
+        noises.append(_reml(s, run_variance, _orthonormal(base[s.part]), y, steps))
+    return Whitener(readings, (), tuple(run_variances), least).with_noises(noises)
 
 
 CALM = 0.1
-"""Variance of the drift, and of the runs' offsets, over the white noise's where hardly any is supposed."""
+"""Variance of nearly no drift, and of nearly no offsets of runs, over the white noise's."""
 
 
 def without_drift(whitener: Whitener) -> Whitener:
-    """Hardly any drift: white noise as rough as neighbouring readings differ."""
+    """Nearly no drift: white noise from the differences of neighbouring readings."""
     noises = []
     for s, now in zip(whitener.readings.series, whitener.noises, strict=True):
         span = max(float(s.time_s[-1] - s.time_s[0]), 1.0)
@@ -209,28 +218,28 @@ def without_drift(whitener: Whitener) -> Whitener:
 
 
 def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
-    """Find the noises anew from what a fit leaves, starting where they are, (m,)."""
+    """Re-estimate the noises from the residual of a fit, (m,), starting at the current ones."""
     noises = []
-    for s, wide, now in zip(whitener.readings.series, whitener.wides, whitener.noises, strict=True):
-        noises.append(_of_residual(s, wide, left[s.part], now, steps))
+    for s, run_variance, now in zip(whitener.readings.series, whitener.run_variances, whitener.noises, strict=True):
+        noises.append(_of_residual(s, run_variance, left[s.part], now, steps))
     return whitener.with_noises(noises)
 
 
 def log_likelihood(whitener: Whitener, white: Floats) -> float:
-    """Log likelihood of what a fit leaves, whitened, (m,), up to a constant, with the weak priors."""
+    """Log likelihood of the whitened residual of a fit, (m,), up to a constant, with the weak priors."""
     priors = sum(_prior(n) for n in whitener.noises)
     return -0.5 * (whitener.log_det + float(white @ white)) + priors
 
 
-def _wide(series: Series, y: Floats) -> Floats:
-    """Variances of the unknowns of each run, over that of the white noise."""
+def _run_variance(series: Series, y: Floats) -> Floats:
+    """Variances of the unknowns of each run, over that of the white noise, (k,)."""
     size = np.sqrt(np.mean(series.nuisance**2, axis=0)) if series.nuisance.shape[1] else np.zeros(0)
     spread = max(float(np.std(y)) / _roughness(series, y), 10.0)
     return np.asarray(WIDE * spread**2 / np.maximum(size, 1e-12) ** 2, dtype=np.float64)
 
 
 def _roughness(series: Series, y: Floats) -> float:
-    """White noise from how neighbouring readings of a run differ."""
+    """White noise from the differences of neighbouring readings of a run."""
     step = np.diff(y)[np.diff(series.run) == 0]
     robust = 1.4826 * float(np.median(np.abs(step - np.median(step)))) / math.sqrt(2.0) if len(step) else 0.0
     return max(robust, 0.01 * float(np.std(y)), 1e-9)
@@ -247,21 +256,21 @@ def _orthonormal(columns: Floats) -> Floats:
 
 
 def _has_zero(series: Series) -> bool:
-    """Whether each run's zero is unknown anyway."""
+    """Whether the zero of each run is unknown."""
     return bool((np.ptp(series.nuisance, axis=0) == 0.0).any()) if series.nuisance.shape[1] else False
 
 
 class _Mean:
-    """−2 log restricted likelihood of a series whose mean lies in the base, white variance profiled."""
+    """−2 log restricted likelihood of a series whose mean is in the base, white variance profiled."""
 
-    def __init__(self, series: Series, wide: Floats, base: Floats, y: Floats) -> None:
-        self.series, self.wide = series, wide
+    def __init__(self, series: Series, run_variance: Floats, base: Floats, y: Floats) -> None:
+        self.series, self.run_variance = series, run_variance
         self.columns = np.concatenate([base, y[:, None]], axis=1)
         self.freedom = max(len(y) - base.shape[1] - series.nuisance.shape[1] * int(series.run[-1] + 1), 3)
 
     def __call__(self, noise: Noise) -> tuple[float, float]:
         """The value, and the white variance."""
-        f = make_filter(self.series, self.wide, noise)
+        f = make_filter(self.series, self.run_variance, noise)
         white = f.whiten(self.columns)
         gram = white.T @ white
         p = len(gram) - 1
@@ -288,11 +297,11 @@ def noise_bounds(series: Series) -> Floats:
     )
 
 
-def found_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[np.bool_]], Floats]) -> Whitener:
-    """Noise of readings of which long series are searched through stretches.
+def noise_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[np.bool_]], Floats]) -> Whitener:
+    """Noise of readings, where long series are searched on stretches.
 
     Args:
-        readings: all of them.
+        readings: all readings.
         columns: gives the columns of the mean for some readings, and which of all these are, (m,).
     """
     keep = np.ones(len(readings), dtype=bool)
@@ -302,29 +311,35 @@ def found_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[
             keep[s.start + _stretches(len(s))] = True
     few = readings if keep.all() else readings.without(~keep)
     noises = find_noise(few, columns(few, keep)).noises
-    wides = tuple(_wide(s, readings.values[s.part]) for s in readings.series)
-    return Whitener(readings, noises, wides)
+    run_variances = tuple(_run_variance(s, readings.values[s.part]) for s in readings.series)
+    return Whitener(readings, noises, run_variances)
 
 
 def _stretches(n: int) -> NDArray[np.int64]:
-    """Stretches of neighbouring readings, evenly over a long series: short and long memory both show; else all."""
+    """Stretches of neighbouring readings, evenly over a long series, so that short and long memory show; else all."""
     if n <= MANY:
         return np.arange(n)
     first = np.linspace(0, n - STRETCH, MANY // STRETCH).astype(np.int64)
     return np.unique((first[:, None] + np.arange(STRETCH)).ravel())
 
 
-def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: int) -> Noise:
-    """Noise of a series that has no mean left, searched for from a noise that is about right."""
+def _of_residual(series: Series, run_variance: Floats, left: Floats, now: Noise, steps: int) -> Noise:
+    """Noise of a series of residuals without a mean, searched from an approximate noise."""
     from rtec.estimation.whitening import likelihood, walk
 
     start = [math.log(now.drift), math.log(now.tau_s)] + ([math.log(now.offset)] if now.offset > 0.0 else [])
     freedom = float(max(len(left) - series.nuisance.shape[1] * int(series.run[-1] + 1), 3))
-    data = (series.time_s, series.run, series.nuisance, wide, np.ascontiguousarray(left))
+    data = (series.time_s, series.run, series.nuisance, run_variance, np.ascontiguousarray(left))
     few = _stretches(len(left))
     part, share = data, len(few) / len(left)
     if share < 1.0:
-        part = (series.time_s[few], series.run[few], np.ascontiguousarray(series.nuisance[few]), wide, data[4][few])
+        part = (
+            series.time_s[few],
+            series.run[few],
+            np.ascontiguousarray(series.nuisance[few]),
+            run_variance,
+            data[4][few],
+        )
     found = np.exp(walk(*part, freedom * share, np.array(start), noise_bounds(series), steps))
     offset = float(found[2]) if len(found) > 2 else 0.0
     _, square = likelihood(*data, float(found[0]), float(found[1]), offset)
@@ -332,19 +347,19 @@ def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: 
 
 
 def _prior(noise: Noise) -> float:
-    """Log of the weak priors; they keep a parameter that the readings do not decide from running away."""
+    """Log of the weak priors; they keep bounded a parameter that the readings do not determine."""
     value = -0.5 * ((math.log(noise.drift) - USUAL_DRIFT) / SPREAD) ** 2
     if noise.offset > 0.0:
         value -= 0.5 * ((math.log(noise.offset) - USUAL_OFFSET) / SPREAD) ** 2
     return value
 
 
-def _reml(series: Series, wide: Floats, base: Floats, y: Floats, steps: int) -> Noise:
-    cost = _Mean(series, wide, base, y)
+def _reml(series: Series, run_variance: Floats, base: Floats, y: Floats, steps: int) -> Noise:
+    cost = _Mean(series, run_variance, base, y)
     span = max(float(series.time_s[-1] - series.time_s[0]), 1.0)
     offset = 0.0 if _has_zero(series) or series.run[-1] == 0 else 0.1
-    tried = [Noise(1.0, d, max(share * span, 1.0), offset) for d, share in START]
-    best = min(tried, key=lambda n: cost(n)[0] - 2.0 * _prior(n))
+    starts = [Noise(1.0, d, max(share * span, 1.0), offset) for d, share in START]
+    best = min(starts, key=lambda n: cost(n)[0] - 2.0 * _prior(n))
     return _search(cost, best, steps)
 
 

@@ -1,4 +1,4 @@
-"""Axes that went their way only once: position, direction, time and heat can stand for each other in such a record."""
+"""Axes that made only one pass: such a record confounds position, direction, time and heat."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,21 +10,21 @@ from rtec.estimation.readings import Readings, Series
 from rtec.machine import Axis
 
 TOGETHER = 0.98
-"""Correlation of position and time from which on they are one."""
+"""From this correlation on, position and time cannot be distinguished."""
 MOVES = 0.05
-"""Share of the travel from which on an axis moves."""
+"""An axis that covers this share of its travel moves."""
 FEWEST = 5
 """Fewest readings that show whether position and time rise together."""
 
 
 @dataclass(frozen=True)
 class OnePass:
-    """An axis that went its way only once.
+    """An axis that made only one pass.
 
     Attributes:
         message: what cannot be distinguished, in words.
         next_step: what to measure.
-        one_way: it never came back, so that position and time are one.
+        one_way: it never came back, so that position and time are confounded.
     """
 
     message: str
@@ -33,7 +33,7 @@ class OnePass:
 
 
 def one_pass(readings: Readings) -> list[OnePass]:
-    """Axes that went through once, in one direction, or there and back only once while a temperature changed."""
+    """Axes that made one pass in one direction, or one there and back while a temperature changed."""
     out = []
     passes_of = {
         a.name: [_pass(readings, s, a.channel, a.travel_mm) for s in readings.series] for a in readings.machine.axes
@@ -69,7 +69,7 @@ def _warmed(readings: Readings, source: int) -> str:
 
 
 def _turns(readings: Readings, axis: Axis) -> int:
-    """How often an axis turned between the outer quarters of its way, in the series in which that was most."""
+    """Turns of an axis between the outer quarters of its way, in the series with the most of them."""
     most = 0
     for s in readings.series:
         place = readings.states[s.source].value(axis.channel)[s.row]

@@ -1,16 +1,16 @@
-"""Wrong readings: the one rule by which every command leaves readings out.
+"""Wrong readings: the one rule by which every command rejects readings.
 
-The rule knows no model, so the same file gives the same readings to each command, and to each step of `improve`. A
-reading is wrong where it is far from what
+The rule uses no model, so every command, and every step of `improve`, gets the same readings from the same file. A
+reading is wrong where it is far from
 
-- a smooth dependence on the recorded channels explains, fitted robustly,
-- the other visits to the same place show, going the same way, and
-- its neighbours in time show,
+- a smooth function of the recorded channels, fitted robustly,
+- the other visits to the same place in the same direction, and
+- its neighbours in time,
 
-and where it does not come again. Single readings count, and bursts of up to five where other visits near the place, or
-a machine that stands still, show that nothing was there. At an end of the record, or of a run that has unknowns of its
-own, the neighbours of one side decide. More than a few in a hundred are what the machine does. So are readings that
-come again; but no law is fitted to one or two targets at an end that stand out (`end_targets`).
+and where this does not recur. Single readings count, and bursts of up to five where other visits near the place, or
+a machine at rest, show that nothing was there. At an end of the record, or of a run that has unknowns of its own, the
+neighbours of one side decide. More than a few in a hundred are an effect of the machine. So are readings that recur;
+but no law is fitted to one or two targets at an end that stand out (`end_targets`).
 """
 
 import itertools
@@ -34,48 +34,48 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 FAR, NEAR, COMPANY = 7.0, 3.0, 0.3
-"""Robust standard deviations; and the share of a wrong reading that its neighbours may be off at the most."""
+"""Robust standard deviations; and the deviation of neighbours, as a share of a wrong reading's, at most."""
 BURST = 3
-"""So many wrong readings may follow each other."""
+"""Largest number of consecutive wrong readings."""
 LONG_BURST, LONG_REACH = 5, 12
-"""Or so many, far from the median of so many readings on either side, where visits within a step show nothing."""
+"""Or this many, far from the median of this many readings on either side, where visits within a step show nothing."""
 GROSS, GROSS_BURST, GROSS_REACH = 25.0, 12, 30
-"""Or so many there, of either sign, of which one is so many robust standard deviations off, and which are far from each
-other: a beam that was broken. A machine that is elsewhere for a while is off by as much at each."""
+"""Or this many there, of either sign, one of them this many robust standard deviations away, and far from each other:
+an interrupted beam. A machine that was elsewhere for a while deviates equally in each."""
 VISITS = 3
-"""Visits to a place, going the same way, whose median tells what the machine does there."""
+"""Visits to a place, in the same direction, whose median shows what the machine does there."""
 AGAIN, HALF = 1.0 / 3.0, 0.5
-"""A reading comes again where this share of the other visits is off by at least half as much, the same way."""
+"""A reading recurs where this share of the other visits deviates by at least half as much, in the same direction."""
 SPEEDS = 10.0
-"""Speeds that differ by less than one over so many are one."""
+"""Speeds within one divided by this number are equal."""
 MOST, FEW = 0.05, 3
 """More than this share of a series, and more than a few, are no mistakes of reading."""
 MOST_WILD = 0.1
-"""With wild bursts, more than this share."""
+"""With wild bursts: more than this share."""
 PLACE_MM = 0.02
 ROUNDS = 4
-"""A wrong reading bends the smooth part, so that it is fitted again with less weight on what is far off."""
+"""Number of fits of the smooth part; wrong readings bend it, so far ones get less weight in the next fit."""
 REACH = 5
 AROUND, SHORT = 21, 14
 QUARTILE, QUARTILE_SIGMA = 0.75, 1.1503
-"""Readings around one that tell how loud its part of the record is, by their third quartile: bursts are fewer."""
+"""Readings around one that give the local noise level, by their third quartile: bursts are fewer."""
 SIGMA_PER_MAD, SMALL = 1.4826, 0.02
 STILL_MM = 1e-3
 EVEN = 0.01
-"""Part of a step of the display by which readings may miss its multiples: files hold rounded numbers."""
+"""Share of a step of the display by which readings may miss its multiples: files hold rounded numbers."""
 TOLD = 12
 
 
 @dataclass(frozen=True)
 class WrongReading:
-    """A reading that is left out.
+    """A rejected reading.
 
     Attributes:
-        measurement, column: where.
+        measurement, column: its place.
         row: counted from 0; run: its number.
-        off: how far from its neighbours, in the unit of the column.
+        off: deviation from its neighbours, in the unit of the column.
         unit: "um" or "urad".
-        why: it is left out, in words.
+        why: reason of the rejection, in words.
     """
 
     measurement: str
@@ -89,13 +89,13 @@ class WrongReading:
 
 @dataclass(frozen=True)
 class Clean:
-    """Readings of several measurements without the wrong ones, with the channels as the loop sees them.
+    """Readings of several measurements without the wrong ones, with the channels that the loop has.
 
     Attributes:
-        readings: those that count.
-        wrong: those that were left out.
+        readings: the readings that count.
+        wrong: the rejected ones.
         kept: which of all readings count.
-        ends: end targets that stand out of what is left without the wrong ones.
+        ends: end targets that stand out among the readings that count.
     """
 
     readings: Readings
@@ -107,29 +107,29 @@ class Clean:
         """The same readings with temperatures smoothed in time."""
         return self.readings.smoothed()
 
-    def less(self, off: Floats, why: str) -> "Clean":
-        """The same without more readings.
+    def rejecting(self, off: Floats, why: str) -> "Clean":
+        """The same with further readings rejected.
 
         Args:
-            off: how far each of `readings` is off, (m,); NaN for those that stay.
-            why: they are left out, in words.
+            off: deviation of each of `readings` that is rejected, (m,); NaN for the others.
+            why: reason of the rejection, in words.
         """
         wrong, kept = np.isfinite(off), self.kept.copy()
         if not wrong.any():
             return self
         kept[np.flatnonzero(kept)[wrong]] = False
-        told = (*self.wrong, *_told(self.readings, off, why))
-        return replace(self, readings=self.readings.without(wrong), wrong=told, kept=kept)
+        rejected = (*self.wrong, *_rejected(self.readings, off, why))
+        return replace(self, readings=self.readings.without(wrong), wrong=rejected, kept=kept)
 
     def without_ends(self) -> "Clean":
-        """The same without the end targets that stand out: what a law is fitted to. Once only."""
+        """The same without the end targets that stand out, for fitting a law. Call it only once."""
         off = np.full(len(self.readings), np.nan)
         for found in self.ends:
             off = np.fmax(off, found.readings)
-        return self.less(off, "at an end that stands out")
+        return self.rejecting(off, "at an end that stands out")
 
 
-def _told(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
+def _rejected(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
     for s in readings.series:
         m = readings.measurements[s.source]
         for i in np.flatnonzero(np.isfinite(off[s.part])):
@@ -138,7 +138,7 @@ def _told(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
 
 
 def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, leave_out_h: float | None = None) -> Clean:
-    """Read measurements and leave out what is wrong; say which end targets stand out.
+    """Read measurements, reject wrong readings, and find end targets that stand out.
 
     Args:
         measurements, reference_degc, leave_out_h: as `read`.
@@ -148,12 +148,12 @@ def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, lea
     """
     whole = read(measurements, reference_degc, smooth=False, leave_out_h=leave_out_h)
     every = Clean(whole, (), np.ones(len(whole), dtype=np.bool_))
-    given = every.less(wrong_readings(whole), "far from all neighbours")
+    given = every.rejecting(wrong_readings(whole), "far from all neighbours")
     return replace(given, ends=tuple(end_targets(given.readings)))
 
 
 def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
-    """Which readings were left out, in words: a line for each reading column and reason."""
+    """Rejected readings in words: a line for each reading column and reason."""
     out = []
     for key in dict.fromkeys((w.measurement, w.column, w.why) for w in wrong):
         mine = [w for w in wrong if (w.measurement, w.column, w.why) == key]
@@ -168,14 +168,14 @@ def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
 
 
 def left_out(wrong: Sequence[WrongReading]) -> str:
-    """How many readings were left out: a sentence to follow others; empty where none was."""
+    """Number of rejected readings: a sentence to follow others; empty where none was."""
     if not wrong:
         return ""
     return f" {counted(len(wrong), 'wrong reading')} {'was' if len(wrong) == 1 else 'were'} left out."
 
 
 def wrong_readings(readings: Readings) -> Floats:
-    """How far wrong readings are from their neighbours, (m,); NaN of those that are right."""
+    """Deviation of wrong readings from their neighbours, (m,); NaN of the others."""
     out = np.full(len(readings), np.nan)
     for s in readings.series:
         out[s.part] = _of_series(readings, s, readings.values[s.part])
@@ -216,11 +216,11 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Kind:
-    """Bursts that are looked for together.
+    """Bursts that are searched together.
 
     Attributes:
         reach: neighbours on either side that a reading is compared with.
-        least, most: readings in a row.
+        least, most: consecutive readings.
         wild: of either sign, one of them `GROSS`, and far from each other.
     """
 
@@ -230,17 +230,17 @@ class _Kind:
     wild: bool = False
 
     def signs(self, off: Floats, far: Bools) -> Floats:
-        """What readings in a row have in common, (n,): their sign, or one where that may be either; 0 if not far."""
+        """Common sign of consecutive readings, (n,), or 1 where either sign counts; 0 if not far."""
         return np.where(far, 1.0 if self.wild else np.sign(off), 0.0)
 
 
 def _linked(s: Series) -> Ints:
-    """Stretches whose readings are neighbours, (n,): runs where each has unknowns of its own, else the whole series."""
+    """Stretch number of each reading, (n,): runs where each has unknowns of its own, else the whole series."""
     return s.run if s.nuisance.shape[1] else np.zeros(len(s), dtype=np.int64)
 
 
 def _places(readings: Readings, s: Series) -> tuple[Ints, bool]:
-    """A number for each place and way of passing it, (n,), and whether no axis moves at all."""
+    """A number for each place and direction, (n,), and whether no axis moves at all."""
     state = readings.states[s.source]
     pose = readings.poses_mm[s.source][s.row]
     if not len(pose) or float(np.ptp(pose, axis=0).max(initial=0.0)) < STILL_MM:
@@ -251,9 +251,9 @@ def _places(readings: Readings, s: Series) -> tuple[Ints, bool]:
 
 
 def _rough(readings: Readings, s: Series, values: Floats, linked: Ints) -> Floats:
-    """What no smooth dependence on the recorded channels explains, fitted robustly, (n,).
+    """Residual of a robust fit of smooth functions of the recorded channels, (n,).
 
-    Of very many readings only what their neighbours do not explain counts: they are close enough to each other.
+    Of very many readings, which are close to each other, the difference from their neighbours counts instead.
     """
     off = values - neighbours(values, values, linked)
     columns = np.zeros((len(s), 0))
@@ -289,7 +289,7 @@ def _without_runs(s: Series, columns: Floats, weight: Floats) -> Floats:
 def _of_visits(rough: Floats, place: Ints) -> Floats:
     """Median of all other visits to the place of each reading, (n,); zero where there are few.
 
-    Without the reading itself: the median of three would be one of them, and its noise none.
+    Without the reading itself: the median of three could be that reading, and its noise would be zero.
     """
     order = np.lexsort((rough, place))
     count = np.bincount(place)
@@ -297,7 +297,7 @@ def _of_visits(rough: Floats, place: Ints) -> Floats:
     ordered, group = rough[order], place[order]
     rank, others = np.arange(len(rough)) - first[group], count[group] - 1
     low, high = (others - 1) // 2, others // 2
-    # Of the others, in order: those behind the reading itself are one further on.
+    # In order without the reading itself: those behind it move up by one.
     at = [first[group] + k + (k >= rank) for k in (low, high)]
     last = len(rough) - 1
     middle = 0.5 * (ordered[np.minimum(at[0], last)] + ordered[np.minimum(at[1], last)])
@@ -307,10 +307,10 @@ def _of_visits(rough: Floats, place: Ints) -> Floats:
 
 
 def _sigmas(off: Floats, sigma: float, run: Ints, wrong: Bools, kind: _Kind) -> Floats:
-    """Robust standard deviation around each reading, (n,), at least that of all: a loud run is no row of mistakes.
+    """Robust standard deviation around each reading, (n,), at least that of all: a noisy run is no series of mistakes.
 
-    Of the nearest readings of its own run that are not known to be wrong, (n,); of a short run also of those before and
-    after it. Only where a reading is far by the standard deviation of all does it matter.
+    It comes from the nearest readings of the same run that are not known to be wrong; for a short run also from those
+    before and after it. It matters only where a reading is far by the standard deviation of all.
     """
     n, out = len(off), np.full(len(off), sigma)
     sign = kind.signs(off, np.abs(off) > FAR * sigma)
@@ -325,7 +325,7 @@ def _sigmas(off: Floats, sigma: float, run: Ints, wrong: Bools, kind: _Kind) -> 
     for part in np.array_split(np.arange(len(far)), 1 + len(far) // MANY):
         near = first[part, None] + np.arange(AROUND)
         mine, near = near < end[part, None], np.minimum(near, n - 1)
-        # A long burst would be a third of a short run, and tell that the run is loud.
+        # A long burst would be a third of a short run, and make the run look noisy.
         mine &= ~(long[near] & (row[near] == row[far[part], None])) & ~wrong[near]
         size = np.sort(np.where(mine, np.abs(off[near]), np.inf), axis=1)
         place = np.rint(QUARTILE * np.maximum(mine.sum(axis=1) - 1, 0)).astype(np.int64)
@@ -342,20 +342,20 @@ def _bursts(
     still: bool,
     burst: _Kind,
 ) -> Bools:
-    """Far readings, single or a few in a row, whose neighbours on both sides are not, (n,).
+    """Far readings, single or a few consecutive ones, whose neighbours on both sides are not far, (n,).
 
-    Several in a row count only in a stretch that is much longer, where others have visited the place or nearby.
+    Several count only in a stretch that is much longer, where other visits were at the place or nearby.
 
     Args:
-        off: from the neighbours, (n,).
+        off: deviation from the neighbours, (n,).
         known: readings, NaN where they are known to be wrong, (n,).
         sigma, linked, near: as of `_sigmas`, `_linked`, `_near_places`, (n,).
         still: nothing moves.
-        burst: what is looked for.
+        burst: what is searched.
     """
     reach = burst.reach
     size, out = np.where(np.isfinite(known), np.abs(off), 0.0), np.zeros(len(off), dtype=bool)
-    # Of one sign and one stretch: 0 where a reading is not far.
+    # Sign within one stretch: 0 where a reading is not far.
     kind = burst.signs(off, size > FAR * sigma)
     edge = np.flatnonzero(np.concatenate([[True], (np.diff(kind) != 0) | (np.diff(linked) != 0), [True]]))
     visits, stretch = [np.bincount(p)[p] for p in near], np.bincount(linked)
@@ -380,17 +380,17 @@ def _bursts(
 
 
 def _wild(values: Floats, size: Floats, sigma: float) -> bool:
-    """Whether readings in a row, (k,), are no step of the machine: one is very far, and they differ by much."""
+    """Whether consecutive readings, (k,), are no step of the machine: one is very far, and they differ greatly."""
     return float(size.max()) > GROSS * sigma and float(np.ptp(values)) > FAR * sigma
 
 
 def _own(near: Ints) -> Ints:
-    """How many of these readings are at the place of each, (k,)."""
+    """Number of these readings at the place of each, (k,)."""
     return np.asarray((near[:, None] == near).sum(axis=1))
 
 
 def _near_places(readings: Readings, s: Series) -> tuple[list[Ints], list[Ints]]:
-    """Numbers for neighbourhoods, of the axes that move from reading to reading: passed the same way, and any way.
+    """Numbers for neighbourhoods, of the axes that move from reading to reading: by direction, and for both together.
 
     Two of each, (n,): those of the second begin in the middle of those of the first, so that a place near the edge of
     one is inside the other.
@@ -414,7 +414,7 @@ def _moving(readings: Readings, s: Series) -> list[tuple[int, float]]:
 
 
 def _first_of_ways(readings: Readings, s: Series) -> tuple[Ints, Floats] | None:
-    """Numbers for the first readings after a reversal, one for each speed, and the way at each reading, (n,).
+    """Numbers for the first readings after a reversal, one for each speed, and the direction at each reading, (n,).
 
     Every other reading has a number of its own. None where nothing moves, or more than one axis.
     """
@@ -432,13 +432,13 @@ def _first_of_ways(readings: Readings, s: Series) -> tuple[Ints, Floats] | None:
 
 
 def _again_elsewhere(off: Floats, any_way: Sequence[Ints], starts: tuple[Ints, Floats] | None, found: Bools) -> Bools:
-    """Whether readings that were found come again where a place is passed any way, or after each reversal, (n,).
+    """Whether suspect readings recur where a place is passed in either direction, or after each reversal, (n,).
 
     Args:
-        off: from the neighbours, (n,).
+        off: deviation from the neighbours, (n,).
         any_way: numbers of places, (n,) each.
         starts: as of `_first_of_ways`.
-        found: readings in question, (n,).
+        found: suspect readings, (n,).
     """
     again = [_again(off, p, found, LONG_BURST) for p in any_way]
     if starts is not None:
@@ -447,14 +447,14 @@ def _again_elsewhere(off: Floats, any_way: Sequence[Ints], starts: tuple[Ints, F
 
 
 def _mostly(again: Bools, found: Bools) -> Bools:
-    """What holds of at least half of each row of readings that were found together, (n,): a burst is one mistake."""
+    """What holds for at least half of each row of consecutive suspect readings, (n,): a burst is one mistake."""
     row = np.cumsum(np.diff(found, prepend=found[:1]))
     share = np.bincount(row, again) / np.bincount(row)
     return np.asarray(found & (share[row] >= HALF))
 
 
 def _display_step(values: Floats) -> float:
-    """Step of the display of which all readings, (n,), are multiples apart; 0 where there is none."""
+    """Step of the display of which all readings, (n,), are multiples; 0 where there is none."""
     apart = np.diff(np.unique(np.round(values, 6)))
     if not len(apart):
         return 0.0
@@ -463,13 +463,13 @@ def _display_step(values: Floats) -> float:
 
 
 def _again(off: Floats, place: Ints, found: Bools, apart: int = 1) -> Bools:
-    """Whether enough other readings of the same number are off the same way as those that were found, (n,).
+    """Whether enough other readings of the same number deviate in the same direction as the suspect ones, (n,).
 
     Args:
-        off: (n,).
+        off: deviation from the neighbours, (n,).
         place: numbers, (n,).
-        found: readings in question, (n,).
-        apart: readings nearer than so many in order are the same visit.
+        found: suspect readings, (n,).
+        apart: readings closer in order than this are the same visit.
     """
     out = np.zeros(len(off), dtype=bool)
     for p in np.unique(place[found]):
@@ -491,13 +491,13 @@ def _again(off: Floats, place: Ints, found: Bools, apart: int = 1) -> Bools:
 
 
 def neighbours(values: Floats, own: Floats, linked: Ints, reach: int = REACH) -> Floats:
-    """Median of the nearest readings on both sides, the reading itself left out, (n,).
+    """Median of the nearest readings on both sides, without the reading itself, (n,).
 
     Args:
         values: NaN where a reading is known to be wrong, (n,).
-        own: each reading, (n,); given back where it has no neighbours.
+        own: each reading, (n,); returned where it has no neighbours.
         linked: stretches that neighbours do not reach across, (n,).
-        reach: so many on either side.
+        reach: number on either side.
     """
     out = np.empty(len(values))
     _medians(values, own, linked, reach, out)

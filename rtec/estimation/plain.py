@@ -1,8 +1,8 @@
-"""Ordinary robust least squares: the referee beside generalised least squares.
+"""Ordinary robust least squares: the check on generalised least squares.
 
-A noise model with drift weighs quick changes more than slow ones. Where the drift has taken up what the model misses,
-such a fit follows small quick changes and predicts the readings worse than the model did before. Ordinary least
-squares cannot: it makes the residual itself small. Its standard errors know of the drift all the same, by
+A noise model with drift weighs quick changes more than slow ones. Where the drift has absorbed what the model misses,
+such a fit follows small quick changes and predicts the readings worse than the model did before. Ordinary least squares
+cannot: it minimises the residual itself. Its standard errors still account for the drift, by
 `(X'X)⁻¹ X'ΣX (X'X)⁻¹`.
 """
 
@@ -22,19 +22,19 @@ Floats = NDArray[np.float64]
 ROUNDS = 4
 STEPS = 30
 WORSE = 1.04
-"""A mean square on held-out runs that is larger by less than this factor is as good."""
+"""Mean squares on held-out runs within this factor are equally good."""
 
 
 @dataclass(frozen=True)
 class Plain:
-    """Weights of ordinary least squares; called with columns, (m,) or (m, p), it gives them weighted.
+    """Weights of ordinary least squares; a call with columns, (m,) or (m, p), returns them weighted.
 
     Attributes:
         readings: all readings.
-        noise: of what the fit leaves.
+        noise: of the residual of the fit.
         sigma: residual of each series, (series,).
         huber: square root of the weight of each reading, (m,).
-        shrink: square root of how much less such readings tell than independent ones.
+        shrink: square root of the information of such readings relative to independent ones.
     """
 
     readings: Readings
@@ -54,10 +54,10 @@ class Plain:
         return without_nuisance(self.readings, columns) * (rows if columns.ndim == 1 else rows[:, None])
 
     def refined(self, left: Floats, columns: Floats) -> "Plain":
-        """The same for what a fit of columns, (m, p), leaves, (m,)."""
+        """The same weights from the residual, (m,), of a fit of columns, (m, p)."""
         made = replace(weights(self.readings, refine(self.noise, left, STEPS), left), shrink=1.0)
-        wide = np.full(columns.shape[1], np.inf)
-        supposed, there = inverse(made(columns)), covariance(made, columns, wide)
+        no_prior = np.full(columns.shape[1], np.inf)
+        supposed, there = inverse(made(columns)), covariance(made, columns, no_prior)
         known = np.diag(supposed) > 0.0
         if not known.any():
             return made
@@ -70,7 +70,7 @@ def covariance(by: Whitener | Plain, columns: Floats, spread: Floats) -> Floats:
 
     Args:
         by: weights of the fit.
-        columns: that were fitted, (m, p).
+        columns: of the fit, (m, p).
         spread: of the prior of each coefficient, (p,); infinite for none.
     """
     tight = 1.0 / spread
@@ -84,7 +84,7 @@ def covariance(by: Whitener | Plain, columns: Floats, spread: Floats) -> Floats:
 
 
 def weights(readings: Readings, noise: Whitener, left: Floats) -> Plain:
-    """Weights by what a fit leaves, (m,): one for each series, less for readings that are far off."""
+    """Weights from the residual of a fit, (m,): one for each series, less for readings that are far off."""
     flat = without_nuisance(readings, left)
     parts = [flat[s.part] for s in readings.series]
     sigma = sigmas(kinds_of(readings), parts, [s.run for s in readings.series])

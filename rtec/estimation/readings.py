@@ -1,9 +1,9 @@
-"""All readings of several measurements in one row of numbers, and the columns that effects make of them.
+"""All readings of several measurements in one vector, and the columns of effects at them.
 
-A *series* is one reading column of one measurement: its readings in order of time, with noise of its own. The
-readings of all series stand one after the other; NaN readings and spikes are left out.
+A *series* is one reading column of one measurement: its readings in order of time, with its own noise. The vector
+holds the series one after the other, without NaN readings and wrong ones.
 
-Fewer readings for a first look where there are very many.
+Also: a subset of very many readings for a quick screen.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,11 +36,11 @@ class Series:
         column: its name.
         unit: "um" or "urad".
         row: instants that have a reading, (n,).
-        time_s: of them.
-        run: their runs, counted from 0 in order, (n,).
-        fold: which are left out together, (n,).
-        nuisance: values of what is unknown of each run (zero, slope …), (n, k).
-        start: place of the first reading among all.
+        time_s: of these instants, (n,).
+        run: number of each reading's run, counted from 0 in order, (n,).
+        fold: number of each reading's held-out fold, (n,).
+        nuisance: values of the unknowns of each run (zero, slope …), (n, k).
+        start: index of the first reading in the vector.
     """
 
     source: int
@@ -59,12 +59,12 @@ class Series:
 
     @property
     def part(self) -> slice:
-        """Its place among all readings."""
+        """Its place in the vector of all readings."""
         return slice(self.start, self.start + len(self.row))
 
     @cached_property
     def pace_s(self) -> tuple[float, float]:
-        """From the first reading to the last, s, at least 1; and usually from one reading to the next."""
+        """Time from the first reading to the last, at least 1; and the usual time between readings; both s."""
         apart = np.diff(self.time_s)
         usual = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
         return max(float(self.time_s[-1] - self.time_s[0]), 1.0), usual
@@ -79,8 +79,8 @@ class Readings:
         states: their channels; temperatures smoothed.
         series: the reading columns, one after the other.
         values: all readings, µm or µrad, (m,).
-        setup: values of what a whole set-up shares and cannot know (misalignment …), (m, s).
-        setup_names: what those are.
+        setup: values of the unknowns that a whole set-up shares (misalignment …), (m, s).
+        setup_names: their names.
     """
 
     measurements: tuple[Measurement, ...]
@@ -101,12 +101,12 @@ class Readings:
 
     @cached_property
     def fold(self) -> Ints:
-        """Which readings are left out together, (m,); measurements that share no run share folds by number."""
+        """Held-out fold of each reading, (m,); measurements without a common run share folds by number."""
         return np.concatenate([s.fold for s in self.series])
 
     @cached_property
     def run(self) -> Ints:
-        """Run of each reading, another number for each run of each series, (m,)."""
+        """Run of each reading, with a separate number for each run of each series, (m,)."""
         ends = np.cumsum([0, *(int(s.run[-1]) + 1 for s in self.series)])
         return np.concatenate([s.run + int(first) for s, first in zip(self.series, ends[:-1], strict=True)])
 
@@ -126,13 +126,13 @@ class Readings:
         return tuple(s.positions_mm() for s in self.states)
 
     def arms(self, component: str) -> Floats:
-        """How much a component error moves each reading, (m,)."""
+        """Lever arm of a component error at each reading, (m,)."""
         if component not in self._arms:
             self._arms[component] = np.concatenate(list(self._arms_by_series(component)))
         return self._arms[component]
 
     def _arms_by_series(self, component: str) -> Iterator[Floats]:
-        """Worked out where there are readings, for all lanes that have them at the same instants at once."""
+        """Computed where there are readings, for all lanes with readings at the same instants at once."""
         source, row, lanes = -1, np.zeros(0, dtype=np.int64), np.zeros((0, 0))
         for s in self.series:
             if s.source != source or not np.array_equal(s.row, row):
@@ -141,7 +141,7 @@ class Readings:
             yield lanes[s.lane]
 
     def columns(self, effect: Effect, theta: Mapping[str, float]) -> Floats:
-        """What one unit of each coefficient of an effect adds to each reading, (m, coefficients).
+        """Contribution of one unit of each coefficient of an effect to each reading, (m, coefficients).
 
         Raises:
             ModelError: a measurement that sees the component lacks a channel of the effect.
@@ -161,7 +161,7 @@ class Readings:
         return out
 
     def channel(self, name: str) -> Floats:
-        """A channel at each reading, (m,); NaN where a measurement has not recorded it."""
+        """A channel at each reading, (m,); NaN where a measurement did not record it."""
         whole: list[Floats] = []
         for state in self.states:
             try:
@@ -171,7 +171,7 @@ class Readings:
         return np.concatenate([whole[s.source][s.row] for s in self.series])
 
     def without(self, spike: NDArray[np.bool_]) -> "Readings":
-        """The same without some readings, (m,)."""
+        """The same without the readings marked in `spike`, (m,)."""
         series, kept, start = [], ~spike, 0
         for s in self.series:
             keep = kept[s.part]
@@ -203,9 +203,9 @@ class Readings:
         return self.with_states(states)
 
     def at_constant(self, effect: Effect, theta: Mapping[str, float], channel: str) -> Floats:
-        """Columns of an effect if a channel had one value throughout, and every other temperature none, (m, k).
+        """Columns of an effect if a channel were constant, and every other temperature at the reference, (m, k).
 
-        A temperature is a kelvin above the reference, anything else at its largest value.
+        A temperature is 1 K above the reference, any other channel is at its largest value.
         """
         sensors, states = self.machine.sensor_names, []
         high = max(
@@ -231,13 +231,13 @@ def read(
     smooth: bool = True,
     leave_out_h: float | None = None,
 ) -> Readings:
-    """Put the readings of measurements together.
+    """Join the readings of measurements.
 
     Args:
         measurements: of one machine.
-        reference_degc: temperature at which a temperature effect is nothing.
-        smooth: smooth the temperatures, as a search for what is missing should.
-        leave_out_h: length of what is held out together, hours; None: as `cuts` has it.
+        reference_degc: temperature at which temperature effects are zero.
+        smooth: smooth the temperatures, as a search for a missing effect should.
+        leave_out_h: length of a held-out stretch, hours; None: as in `cuts`.
 
     Raises:
         MeasurementError: none given, of different machines, one given twice, or without any reading.
@@ -274,7 +274,7 @@ def read(
 def _state(m: Measurement, reference_degc: float, *, smooth: bool) -> State:
     channels = dict(m.channels)
     for axis in m.machine.axes:
-        # An axis that was not recorded stands still, at zero, as everywhere.
+        # As everywhere, an axis that was not recorded is at rest at zero.
         if axis.channel not in channels:
             channels |= {axis.channel: np.zeros(len(m)), axis.direction_channel: np.zeros(len(m))}
     if smooth:
@@ -306,7 +306,7 @@ def _runs(m: Measurement) -> Ints:
 
 
 def _folds(blocks: Blocks) -> Ints:
-    """Which rows are left out together, (n,)."""
+    """Held-out fold of each row, (n,)."""
     return np.repeat(blocks.fold, np.diff(blocks.edges))
 
 
@@ -331,9 +331,9 @@ MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
 def row_codes(columns: Floats) -> Ints:
-    """A number for each different row of whole numbers, (n,), of columns, (k, n).
+    """A number for each distinct row of whole numbers, (n,), of columns, (k, n).
 
-    Sorting rows of many columns would take most of the time: each becomes one number first.
+    Sorting rows of many columns would take most of the time, so each row is first hashed to one number.
     """
     key = np.zeros(columns.shape[1], dtype=np.uint64)
     for column in columns:
@@ -343,17 +343,17 @@ def row_codes(columns: Floats) -> Ints:
 
 
 LOOK = 2500
-"""So many readings pick candidates as well as all do; what is picked is fitted to all."""
+"""This many readings select candidates as well as all do; the selected ones are fitted to all."""
 RUNS = 40
-"""Whole runs are taken where there are at least so many; else single readings, evenly."""
+"""Whole runs are taken where there are at least this many; else single readings, evenly."""
 
 
 def looked_at(readings: Readings) -> NDArray[np.bool_]:
-    """Which readings a first look takes, (m,): all where they are not many."""
+    """Which readings a screen uses, (m,): all, unless they are many."""
     keep = np.ones(len(readings), dtype=bool)
     if len(readings) <= LOOK:
         return keep
-    # Drawn, not every so-and-so many: the runs of a campaign have patterns (there and back, fast and slow).
+    # Random runs, not every n-th: the runs of a campaign have patterns (there and back, fast and slow).
     rng = np.random.default_rng(0)
     share = LOOK / len(readings)
     for s in readings.series:

@@ -1,9 +1,9 @@
-"""How far off readings count: the one robust weighing of every least-squares fit.
+"""Weights of readings that are far off: the same robust weights in every least-squares fit.
 
-Wrong readings are left out before (`outliers`). What is still far off counts less, as Huber has it: its pull on the fit
-is that of a reading six standard deviations off. Not three: what a model misses is not normally distributed, and a fit
-that makes little of the largest residuals leaves larger ones. How large a standard deviation is, equal instruments say
-together (`kinds`).
+Wrong readings are rejected before (`outliers`). Readings that are still far off get Huber's weight: their influence on
+the fit is that of a reading six standard deviations off. Three would be too few: what a model misses is not normally
+distributed, and a fit that discounts the largest residuals makes them larger. Equal instruments share the standard
+deviation (`kinds`).
 """
 
 from collections.abc import Hashable, Sequence
@@ -17,22 +17,22 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 HUBER = 6.0
-"""Residuals beyond so many robust standard deviations of their series count less."""
+"""Residuals beyond this many robust standard deviations of their series count less."""
 LEAST_SHARE = 0.02
-"""The robust standard deviation is never below this share of the plain one: quantised residuals are mostly equal."""
+"""The robust standard deviation is at least this share of the plain one: quantised residuals are mostly equal."""
 SMALLEST = 1e-9
 SETTLED = 0.05
-"""Weights are settled where the pull of the readings changes by less than this many standard deviations (rms)."""
+"""Weights have converged where the influence of readings changes by fewer standard deviations than this (rms)."""
 
 
 def sigmas(kinds: Sequence[Hashable], left: Sequence[Floats], runs: Sequence[Ints]) -> Floats:
-    """Robust standard deviation of each series of residuals, as equal instruments have it together, (series,).
+    """Robust standard deviation of each series of residuals, shared by equal instruments, (series,).
 
-    A quiet run weighs no more than others: what one run shows is not worth a hundred.
+    A quiet run gets no more weight than others: one run is not worth a hundred.
 
     Args:
-        kinds: which series are of equal instruments.
-        left: residuals of each series, unknowns of each run taken out, (n,); NaN where there is none.
+        kinds: of the series.
+        left: residuals of each series, unknowns of each run projected out, (n,); NaN where there is none.
         runs: of its readings, (n,).
     """
     own = np.array([_sigma(values[np.isfinite(values)]) for values in left])
@@ -54,6 +54,6 @@ def huber(left: Floats, sigma: float) -> Floats:
 
 
 def settled(before: Floats, now: Floats, left: Floats, sigma: float) -> bool:
-    """Whether factors of rows, (n,), changed so little that another fit would be the same."""
+    """Whether factors of rows, (n,), changed so little that another fit would give the same."""
     pull = (before**2 - now**2) * np.nan_to_num(left) / sigma
     return bool(np.sqrt(np.mean(pull**2)) < SETTLED) if len(pull) else True

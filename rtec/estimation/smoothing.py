@@ -1,7 +1,7 @@
-"""Smooths temperatures in time: noise of a sensor decides between thermal rivals that else look alike.
+"""Smooths temperatures in time: otherwise the noise of a sensor would decide between similar thermal rivals.
 
-A temperature is taken to creep: its rate walks at random, and how fast is what makes the readings likeliest. The best
-curve under that is a cubic smoothing spline, found by a Kalman filter and a pass back (Rauch, Tung and Striebel 1965)
+A temperature creeps: its rate is a random walk whose speed makes the readings likeliest. The best curve under this
+assumption is a cubic smoothing spline, computed by a Kalman filter and a backward pass (Rauch, Tung and Striebel 1965)
 in time proportional to the number of readings. Where a temperature jumps, another curve begins.
 """
 
@@ -17,17 +17,17 @@ from rtec.jit import njit
 Floats = NDArray[np.float64]
 
 ABOUT = 5
-"""Fewer readings are no curve."""
+"""Fewer readings give no curve."""
 QUANTUM = 0.29
-"""Standard deviation of steps of one, 1/√12."""
+"""Standard deviation of rounding to steps of one, 1/√12."""
 JUMP, LARGE = 30.0, 0.1
-"""Between neighbours so many standard deviations apart, and so much of all that a sensor saw, it jumped."""
+"""A jump: neighbours differ by this many standard deviations, and by this share of the sensor's whole range."""
 MOST = 4000
-"""So many readings tell how fast a rate walks as well as all do."""
+"""This many readings determine the speed of the walk as well as all do."""
 TRIED, CLOSE = 16, 0.1
-"""Walks that are tried at the most, and how close the logarithm of their time is found."""
+"""Most values of the walk that are tried, and the tolerance of the logarithm of its time."""
 FILLED_S = 960.0
-"""A missing reading is filled where another is at most so far away."""
+"""A missing reading is filled where another is at most this far away, s."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Windows:
 
 
 def smoothed(windows: Windows, value: Floats) -> Floats:
-    """Give the likeliest creeping curve through readings; NaN readings are passed over.
+    """The likeliest creeping curve through readings; NaN readings are skipped.
 
     Args:
         windows: the n instants.
@@ -71,14 +71,14 @@ def smoothed(windows: Windows, value: Floats) -> Floats:
 
 
 def _near(time_s: Floats, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which instants have a reading close by on either side, (n,); the first and last have."""
+    """Which instants have a reading nearby on either side, (n,); the first and last count as such."""
     seen = time_s[good]
     at = np.clip(np.searchsorted(seen, time_s), 1, len(seen) - 1)
     return np.asarray(np.minimum(np.abs(time_s - seen[at - 1]), np.abs(seen[at] - time_s)) <= FILLED_S)
 
 
 def noise_of(value: Floats) -> float:
-    """Noise of a series from how each reading differs from the middle of its neighbours, never below its steps'."""
+    """Noise of a series from how each reading differs from the middle of its neighbours, at least that of its steps."""
     bend = value[1:-1] - 0.5 * (value[:-2] + value[2:])
     steps: Floats = np.unique(np.round(np.abs(np.diff(value)), 9))
     quantum = float(steps[1]) if len(steps) > 1 and steps[0] == 0.0 else 0.0
@@ -86,7 +86,7 @@ def noise_of(value: Floats) -> float:
 
 
 def _likeliest(curves: Sequence[tuple[Floats, Floats]]) -> float:
-    """How fast the rate of all curves walks, in variance of the noise a second cubed."""
+    """Speed of the random walk of the rate that all curves share, in variance of the noise per second cubed."""
     from scipy.optimize import minimize_scalar
 
     step = -(-sum(len(t) for t, _ in curves) // MOST)
@@ -96,7 +96,7 @@ def _likeliest(curves: Sequence[tuple[Floats, Floats]]) -> float:
     apart = np.concatenate([np.diff(t) for t, _ in few] or [np.ones(1)])
     shortest, span = float(np.median(apart[apart > 0.0])), max([float(t[-1]) for t, _ in few], default=1.0)
     nothing = np.empty((0, 5))
-    # Over this time the walk bends a line by as much as the mean of its readings is off.
+    # Over this time the walk bends a line by as much as the mean of its readings deviates.
     found = minimize_scalar(
         lambda x: sum(creep(t, v, shortest / np.exp(4.0 * x), nothing) for t, v in few),
         bounds=(np.log(shortest), np.log(max(span, 2.0 * shortest))),
@@ -108,13 +108,13 @@ def _likeliest(curves: Sequence[tuple[Floats, Floats]]) -> float:
 
 @njit
 def creep(time_s: Floats, value: Floats, walk: float, kept: Floats) -> float:
-    """Filter forward; give −2 log likelihood, up to a constant, and keep what is known after each reading.
+    """Filter forward; give −2 log likelihood, up to a constant, and store the state after each reading.
 
     Args:
         time_s: not falling, (n,).
-        value: over the standard deviation of a reading; the first is none that is missing, NaN where one is, (n,).
-        walk: variance that the rate gains a second.
-        kept: written: value, rate, and their variances and covariance, (n, 5); or empty, and nothing is kept.
+        value: over the standard deviation of a reading; NaN where one is missing, never the first, (n,).
+        walk: variance that the rate gains per second.
+        kept: written: value, rate, and their variances and covariance, (n, 5); or empty, and nothing is stored.
     """
     n, keeps = len(time_s), len(kept) > 0
     start = 1
@@ -148,7 +148,7 @@ def creep(time_s: Floats, value: Floats, walk: float, kept: Floats) -> float:
 
 @njit
 def spline(time_s: Floats, value: Floats, walk: float) -> Floats:
-    """Give the curve that is likeliest by all readings, (n,); arguments as of `creep`."""
+    """The curve that is likeliest given all readings, (n,); arguments as of `creep`."""
     n = len(time_s)
     kept = np.empty((n, 5))
     creep(time_s, value, walk, kept)
@@ -162,7 +162,7 @@ def spline(time_s: Floats, value: Floats, walk: float) -> Floats:
             x -= dt * rate
             out[i] = x
             continue
-        # What was expected at the next reading, and the gain of what all that follow say of it.
+        # The prediction at the next reading, and the gain of the information from all later readings.
         mine, its = kept[i, 0] + dt * kept[i, 1], kept[i, 1]
         p = a + dt * (2.0 * b + dt * c) + walk * dt**3 / 3.0
         q = b + dt * c + walk * dt**2 / 2.0

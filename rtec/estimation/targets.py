@@ -1,8 +1,8 @@
-"""Whether a wave along an axis predicts targets that were held out, not only runs over the same targets.
+"""Whether a wave along an axis predicts held-out targets, not only held-out runs over the same targets.
 
-Every run reads the same few targets, so the error at each of them comes again in every held-out run. Among hundreds of
-periods there is a wave near any few numbers: it takes half of the mean square of 18 random ones. So targets are held
-out, and the period is searched without them: a wave predicts them, a pattern does not.
+Every run reads the same few targets, so the error at each of them recurs in every held-out run. Among hundreds of
+periods one wave fits any few numbers: it removes half of the mean square of 18 random ones. So targets are held out,
+and the period is searched without them: a wave predicts them, a pattern does not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,15 +30,15 @@ RIDGE = 1e-9
 
 
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
-    """Whether a wave predicts held-out targets; true, too, of another effect, and where more than `FEW` were read.
+    """Whether a wave predicts held-out targets; also true for any other effect, and with more than `FEW` targets.
 
-    A wave of known period is asked as well: with several of them any few numbers are met.
+    A wave of known period is tested as well: several of them fit any few numbers.
 
     Args:
         readings: the readings.
-        base: columns of what is known beside it, (m, p).
-        effect: that is looked for.
-        thetas: periods that were tried; one where it is known.
+        base: columns of the known effects, (m, p).
+        effect: the candidate.
+        thetas: the periods to search; one where it is known.
     """
     machine = readings.machine
     axis = next((a for a in machine.axes if (a.channel,) == effect.channels(machine)), None)
@@ -55,7 +55,7 @@ def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: S
         return False
     left = without_nuisance(readings, readings.values - base @ solve(base, readings.values))
     mean = np.bincount(target, left[seen]) / count
-    # One reading of each target has the wave there.
+    # One reading of each target represents the wave there.
     first = np.unique(target, return_index=True)[1]
     order = np.argsort(first)
     away = np.ones(len(readings.values), dtype=bool)
@@ -66,7 +66,7 @@ def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: S
 
 
 def _fall(place: Floats, mean: Floats, waves: Floats) -> float:
-    """Share by which waves, (periods, n, k), lower the squares of the means of n targets that were held out."""
+    """Relative fall of the squares of the means of n held-out targets by waves, (periods, n, k)."""
     around = np.polynomial.legendre.legvander(2.0 * (place - place.min()) / np.ptp(place) - 1.0, BEND)
     beside = np.broadcast_to(around, (len(waves), *around.shape))
     whole = np.concatenate(

@@ -14,12 +14,12 @@ from rtec.metrology.measurement import Measurement
 Floats = NDArray[np.float64]
 
 MOVES = 0.01
-"""An axis that moves by at least this share of its travel is seen."""
+"""An axis is seen where it moves by at least this share of its travel."""
 NO_ARM = 1e-12
 ONE = 1e-6
 """A lever arm of one, to rounding."""
 SAMPLE = 2000
-"""Instants at which lever arms are looked at."""
+"""Number of instants at which lever arms are evaluated."""
 
 
 def longest_arms(measurement: Measurement) -> Floats:
@@ -35,9 +35,9 @@ def longest_s(measurements: Sequence[Measurement]) -> float:
 
 
 def within_record(effect: Effect, measurements: Sequence[Measurement], share: float = 1.0) -> list[Parameter]:
-    """Non-linear parameters of an effect, in order, with bounds and grid of delays cut to what measurements show.
+    """Non-linear parameters of an effect, in order; delays are limited to what measurements show, bounds and grid.
 
-    What lags by more than the record hardly moves in it, so that its coefficient may be of any size.
+    A longer lag than the record hardly changes in it, and its coefficient may have any size.
 
     Args:
         effect: the effect.
@@ -59,7 +59,7 @@ class VisibleComponent:
 
     Attributes:
         name: of the component.
-        axis: whose motion it is; None for a fixed link.
+        axis: the axis whose motion has this error; None for a fixed link.
         moves: whether that axis moved; where it did not, only changes with temperature are seen.
     """
 
@@ -69,11 +69,11 @@ class VisibleComponent:
 
 
 def visible_components(measurements: Sequence[Measurement]) -> list[VisibleComponent]:
-    """Component errors that the measurements can see: read directly first, then by moving axes, then of the spindle.
+    """Component errors that the measurements can see: those read directly, then of moving axes, then the spindle's.
 
-    An instrument that names its component is believed to read that one: its lever arms to others are for those that
-    another instrument reads. Among fixed links only the spindle's errors are candidates, or where there is no link of
-    that name those of the first link of the work chain: constant errors of one link or another look the same.
+    An instrument that names its component reads that one; errors that it sees through lever arms are for other
+    instruments. Among fixed links only the spindle's errors are candidates, or without a link of that name those of the
+    first link of the work chain: constant errors of one link or another look the same.
     """
     machine = measurements[0].machine
     moving = {a.name for a in machine.axes if any(moves(m, a) for m in measurements)}
@@ -90,7 +90,7 @@ def visible_components(measurements: Sequence[Measurement]) -> list[VisibleCompo
 
 
 def _datum(measurements: Sequence[Measurement]) -> set[str]:
-    """Angles of lines of travel that a square takes as its reference: what is not square is the other axis' angle.
+    """Angles of lines of travel that a square takes as its reference: the squareness error is the other axis' angle.
 
     Where one square takes the one axis as its reference and another the other, neither is.
     """
@@ -107,11 +107,11 @@ def _datum(measurements: Sequence[Measurement]) -> set[str]:
 
 
 def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
-    """Component errors that a reading shows as they are, not through a lever arm; and whether a file names them.
+    """Component errors that a reading shows directly, not through a lever arm; and whether a file names them.
 
-    A component that its file names; and where none is named, every shift (or every angle, of readings in µrad) of an
-    axis that moved, or of a fixed link, that moves a reading one to one wherever the axes are. Of an instrument that
-    shows none so (a ball bar, whose direction turns), all that it sees.
+    These are components that a file names. Where it names none, they are every shift (or every angle, of readings in
+    µrad) of an axis that moved, or of a fixed link, that moves a reading one to one wherever the axes are. An
+    instrument that shows none in this way (a ball bar, whose direction turns) shows all that it sees.
     """
     machine = measurements[0].machine
     out: dict[str, bool] = {}
@@ -140,7 +140,7 @@ def _through_arms(m: Measurement, machine: Machine) -> list[str]:
     names = [
         c for c, ok in zip(machine.components, there, strict=True) if ok and (_axis_name(c, machine) or c[3:]) in links
     ]
-    # A fixed link before the axes: of shifts that only follow a temperature, the spindle's is the likelier name.
+    # A fixed link before the axes: for shifts that only follow a temperature, the spindle is the likelier cause.
     return sorted(names, key=lambda c: (_axis_name(c, machine) is not None, machine.components.index(c)))
 
 
@@ -151,7 +151,7 @@ def _spindle(machine: Machine) -> str:
 
 
 def moves(measurement: Measurement, axis: Axis) -> bool:
-    """Whether an axis moved by enough to be seen."""
+    """Whether an axis moved far enough to be seen."""
     position = measurement.channels.get(axis.channel)
     return position is not None and float(np.ptp(position)) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0])
 

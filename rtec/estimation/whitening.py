@@ -1,17 +1,17 @@
 """Whitening in time proportional to the number of readings: a Kalman filter's innovations.
 
 The noise of a series is white, plus a drift that forgets (Ornstein-Uhlenbeck, variance d, time constant τ), plus an
-offset of each run (variance r), plus what is unknown of each run (zero, slope: variance so
-large that only the readings decide). With white variance one, the filter's innovations over their standard deviations
-are `L⁻¹ y` with `L Lᵀ = Σ`, up to nothing: the same numbers as by a Cholesky factor, without the matrix.
+offset of each run (variance r), plus the unknowns of each run (zero, slope: variance so large that only the readings
+determine them). With white variance one, the filter's innovations over their standard deviations are exactly `L⁻¹ y`
+with `L Lᵀ = Σ`: the same numbers as by a Cholesky factor, without the matrix.
 
 The state is [drift, offset of the run, unknowns of the run …]; the gains do not depend on the readings, so they are
-worked out once and then used on every column.
+computed once and then used on every column.
 
-Finds drift, memory and run offset of a series that has no mean left, in one compiled search.
+The module also estimates drift, memory and run offset of a series without a mean, in one compiled search.
 
-A diagnosis looks for the noise anew for each of its best candidates, a few hundred times; each look is a Nelder-Mead
-walk over three logarithms, and all of it happens here without going through Python.
+A diagnosis re-estimates the noise for each of its best candidates, a few hundred times; each estimate is a Nelder-Mead
+search over three logarithms, and runs here entirely without Python.
 """
 
 import math
@@ -33,22 +33,22 @@ def gains(  # noqa: PLR0912
     drift: float,
     tau_s: float,
     offset: float,
-    wide: Floats,
+    run_variance: Floats,
     decay: Floats,
     gain: Floats,
     scale: Floats,
 ) -> float:
-    """Work out the filter of one series.
+    """Compute the filter of one series.
 
     Args:
         time_s: (n,), not falling.
         run: (n,), another number where a run begins.
-        unknown: what is unknown of each run, (n, k).
+        unknown: values of the unknowns of each run, (n, k).
         drift: variance of the drift over that of the white noise.
         tau_s: its time constant.
         offset: variance of the runs' offsets over that of the white noise.
-        wide: variances of the unknowns, (k,).
-        decay: written: how much of the drift is left since the last reading, (n,).
+        run_variance: variances of the unknowns, (k,).
+        decay: written: share of the drift that remains since the last reading, (n,).
         gain: written: gain of each state, (n, 2 + k).
         scale: written: one over the standard deviation of the innovation, (n,).
 
@@ -69,7 +69,7 @@ def gains(  # noqa: PLR0912
             ratio = (time_s[i] - time_s[i - 1]) / tau_s
             decay[i] = math.exp(-ratio) if ratio < 25.0 else 0.0
         if i == 0 or run[i] != run[i - 1]:
-            # A new run: what belonged to the last one is forgotten.
+            # A new run: the state of the last one is forgotten.
             drift_left = p[0, 0]
             for a in range(size):
                 for b in range(size):
@@ -77,7 +77,7 @@ def gains(  # noqa: PLR0912
             p[0, 0] = drift_left
             p[1, 1] = offset
             for a in range(2, size):
-                p[a, a] = wide[a - 2]
+                p[a, a] = run_variance[a - 2]
         f = decay[i]
         for a in range(1, size):
             p[0, a] *= f
@@ -107,9 +107,9 @@ def gains(  # noqa: PLR0912
 def _gains_of_two(
     time_s: Floats, run: Ints, drift: float, tau_s: float, offset: float, decay: Floats, gain: Floats, scale: Floats
 ) -> float:
-    """`gains` where no run has unknowns: the same steps, number by number."""
+    """`gains` where no run has unknowns: the same steps, written out."""
     p, q, r, total = 0.0, 0.0, 0.0, 0.0
-    step, kept = -1.0, 0.0  # even steps forget alike
+    step, kept = -1.0, 0.0  # equal steps have equal decay
     for i in range(len(time_s)):
         if i > 0 and time_s[i] - time_s[i - 1] != step:
             step = time_s[i] - time_s[i - 1]
@@ -219,7 +219,7 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
     time_s: Floats,
     run: Ints,
     unknown: Floats,
-    wide: Floats,
+    run_variance: Floats,
     left: Floats,
     drift: float,
     tau_s: float,
@@ -228,7 +228,7 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
     """`log det Σ` and `yᵀ Σ⁻¹ y` of a series, white variance one: `gains` and `innovations` in one pass.
 
     Args:
-        time_s, run, unknown, wide: as in `kalman.gains`.
+        time_s, run, unknown, run_variance: as in `gains`.
         left: the series y, (n,).
         drift, tau_s, offset: the noise.
     """
@@ -251,7 +251,7 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
             p[0, 0] = kept
             p[1, 1] = offset
             for a in range(2, size):
-                p[a, a] = wide[a - 2]
+                p[a, a] = run_variance[a - 2]
             for a in range(1, size):
                 x[a] = 0.0
         for a in range(1, size):
@@ -281,10 +281,10 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
 
 @njit
 def _of_two(time_s: Floats, run: Ints, left: Floats, drift: float, tau_s: float, offset: float) -> tuple[float, float]:
-    """`likelihood` where no run has unknowns: the same steps, number by number."""
+    """`likelihood` where no run has unknowns: the same steps, written out."""
     p, q, r, x, y = 0.0, 0.0, 0.0, 0.0, 0.0
     log_det, square = 0.0, 0.0
-    step, kept = -1.0, 0.0  # even steps forget alike
+    step, kept = -1.0, 0.0  # equal steps have equal decay
     for i in range(len(time_s)):
         if i > 0 and time_s[i] - time_s[i - 1] != step:
             step = time_s[i] - time_s[i - 1]
@@ -312,14 +312,21 @@ def _of_two(time_s: Floats, run: Ints, left: Floats, drift: float, tau_s: float,
 
 @njit
 def noise_cost(
-    time_s: Floats, run: Ints, unknown: Floats, wide: Floats, left: Floats, freedom: float, x: Floats, bounds: Floats
+    time_s: Floats,
+    run: Ints,
+    unknown: Floats,
+    run_variance: Floats,
+    left: Floats,
+    freedom: float,
+    x: Floats,
+    bounds: Floats,
 ) -> float:
     """−2 log likelihood and priors at logarithms of drift, memory and offset, white variance profiled.
 
     Args:
-        time_s, run, unknown, wide, left: as in `likelihood`.
+        time_s, run, unknown, run_variance, left: as in `likelihood`.
         freedom: readings less unknowns.
-        x: logarithms, (2,) or (3,); beyond the bounds they count as on them.
+        x: logarithms, (2,) or (3,); clipped to the bounds.
         bounds: lowest, highest, centre and spread of the prior (spread 0: none) of each, (3, 4).
     """
     value = np.empty(3)
@@ -330,22 +337,24 @@ def noise_cost(
         if k < len(x) and bounds[k, 3] > 0.0:
             prior += ((value[k] - bounds[k, 2]) / bounds[k, 3]) ** 2
     offset = math.exp(value[2]) if len(x) > 2 else 0.0
-    log_det, square = likelihood(time_s, run, unknown, wide, left, math.exp(value[0]), math.exp(value[1]), offset)
+    log_det, square = likelihood(
+        time_s, run, unknown, run_variance, left, math.exp(value[0]), math.exp(value[1]), offset
+    )
     return log_det + freedom * math.log(max(square, 1e-12) / freedom) + prior
 
 
 @njit
 def walk(  # noqa: PLR0912 - one walk, compiled
-    time_s: Floats, run: Ints, unknown: Floats, wide: Floats, left: Floats, freedom: float, start: Floats,
+    time_s: Floats, run: Ints, unknown: Floats, run_variance: Floats, left: Floats, freedom: float, start: Floats,
     bounds: Floats, evaluations: int,
 ) -> Floats:  # fmt: skip
-    """Nelder and Mead's walk from `start`; gives the best place, (2,) or (3,), within the bounds."""
+    """Nelder and Mead's search from `start`; gives the best place, (2,) or (3,), within the bounds."""
     d = len(start)
     place, cost = np.empty((d + 1, d)), np.empty(d + 1)
     for k in range(d + 1):
         for j in range(d):
             place[k, j] = start[j] + (0.7 if k == j + 1 else 0.0)
-        cost[k] = noise_cost(time_s, run, unknown, wide, left, freedom, place[k], bounds)
+        cost[k] = noise_cost(time_s, run, unknown, run_variance, left, freedom, place[k], bounds)
     used = d + 1
     middle, trial, further = np.empty(d), np.empty(d), np.empty(d)
     while used < evaluations:
@@ -360,12 +369,12 @@ def walk(  # noqa: PLR0912 - one walk, compiled
                     total += place[k, j]
             middle[j] = total / d
             trial[j] = 2.0 * middle[j] - place[worst, j]
-        value = noise_cost(time_s, run, unknown, wide, left, freedom, trial, bounds)
+        value = noise_cost(time_s, run, unknown, run_variance, left, freedom, trial, bounds)
         used += 1
         if value < cost[best]:
             for j in range(d):
                 further[j] = 3.0 * middle[j] - 2.0 * place[worst, j]
-            beyond = noise_cost(time_s, run, unknown, wide, left, freedom, further, bounds)
+            beyond = noise_cost(time_s, run, unknown, run_variance, left, freedom, further, bounds)
             used += 1
             if beyond < value:
                 place[worst], cost[worst] = further, beyond
@@ -378,7 +387,7 @@ def walk(  # noqa: PLR0912 - one walk, compiled
         for j in range(d):
             inner = trial[j] if value < cost[worst] else place[worst, j]
             further[j] = 0.5 * (middle[j] + inner)
-        inside = noise_cost(time_s, run, unknown, wide, left, freedom, further, bounds)
+        inside = noise_cost(time_s, run, unknown, run_variance, left, freedom, further, bounds)
         used += 1
         if inside < min(value, cost[worst]):
             place[worst], cost[worst] = further, inside
@@ -387,7 +396,7 @@ def walk(  # noqa: PLR0912 - one walk, compiled
             if k != best:
                 for j in range(d):
                     place[k, j] = 0.5 * (place[k, j] + place[best, j])
-                cost[k] = noise_cost(time_s, run, unknown, wide, left, freedom, place[k], bounds)
+                cost[k] = noise_cost(time_s, run, unknown, run_variance, left, freedom, place[k], bounds)
                 used += 1
     best = np.argmin(cost)
     out: Floats = place[best].copy()

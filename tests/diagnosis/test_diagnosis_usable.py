@@ -14,7 +14,7 @@ from rtec.cli.main import status
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add, new_effect, refused
 from rtec.diagnosis.extend.improve import improve
-from rtec.diagnosis.extend.parameter_scan import ranged
+from rtec.diagnosis.extend.parameter_scan import scan_ranges
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import effect_class
 from rtec.effects.expression import expression_from_text
@@ -78,7 +78,7 @@ def test_aliases_are_told_and_the_start_decides() -> None:
     for start, expected in ((5.1, 5.0), (alias * 1.02, alias)):
         effect = expression_from_text("A*sin(2*pi*x/p + phi)", [f"p={start}:3..200"], "EXX", small_machine())
         readings = clean(measured).readings
-        found, words = ranged(new_effect(effect, model), joint_fit(model.effects, readings), readings)
+        found, words = scan_ranges(new_effect(effect, model), joint_fit(model.effects, readings), readings)
         assert found.theta["p"] == pytest.approx(expected, rel=0.01)
         assert "equal steps" in words[0]
 

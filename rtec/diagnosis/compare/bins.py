@@ -1,4 +1,4 @@
-"""Cuts the channels of a series into stretches with round ends, and says a stretch in plain words."""
+"""Cuts the channels of a series into stretches with round ends, and describes a stretch in plain words."""
 
 import math
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 FINE, COARSE = 20, 8
-"""At most so many stretches: of a channel by itself, and where two are looked at together."""
+"""Most stretches of a channel by itself, and of each of a pair."""
 FEW_VALUES = 8
-"""A channel with at most so many values is told by its values."""
+"""A channel with at most this many values is described by its values."""
 REAL_DEGC = 0.5
 MOVES = 0.01
-"""Of the travel: an axis that moved less stood still."""
+"""An axis that moved by less than this share of its travel was at rest."""
 LADDER = (1.0, 2.0, 5.0, 10.0)
 
 
@@ -51,7 +51,7 @@ class Variable:
         return bool((self.low == self.high).all())
 
     def bound(self, first: int, last: int) -> Bound:
-        """The stretches from first to last, both included."""
+        """The stretches from first to last, both included, as one."""
         return Bound(self.name, float(self.low[first]), float(self.high[last]), self.unit)
 
 
@@ -61,7 +61,7 @@ def variables_of(readings: Readings, series: Series, most: int) -> list[Variable
     Args:
         readings: that the series belongs to.
         series: reading column.
-        most: stretches of each channel.
+        most: largest number of stretches of each channel.
     """
     out = []
     for name, value in _values(readings, series):
@@ -108,7 +108,7 @@ def cut_into(name: str, value: Floats, most: int) -> Variable | None:
 
 
 def round_edges(low: float, high: float, most: int, scale: float = 1.0) -> Floats:
-    """Edges at multiples of 1, 2 or 5 times a power of ten (of `scale`) that hold low to high in at most `most`."""
+    """Edges at multiples of 1, 2 or 5 times a power of ten (of `scale`) that cover low to high in at most `most`."""
     low, high = low / scale, high / scale
     rough = (high - low) / most
     power = 10.0 ** math.floor(math.log10(rough))
@@ -128,7 +128,7 @@ def _scale(name: str, span: float) -> float:
 
 
 def time_unit(span_s: float) -> tuple[float, str]:
-    """Unit in which times over a span are told: its seconds and its name."""
+    """Unit of times over a span: its seconds and its name."""
     if span_s > 7200.0:
         return 3600.0, "h"
     return (60.0, "min") if span_s > 300.0 else (1.0, "s")

@@ -1,8 +1,8 @@
 """Compares a model with measurements: how wrong it is, against the noise floor, and where.
 
-The model is taken as it stands, nothing is refitted, and it gets the temperatures as they were read, as in the loop.
-All numbers of the instruments' own (the zero of a run, a misalignment) are taken out of readings and predictions
-alike, by least squares; so what is measured is what is predicted plus what is left, reading by reading.
+The model keeps its numbers, nothing is refitted, and it gets the temperatures as they were read, as in the loop.
+The instruments' own unknowns (the zero of a run, a misalignment) are projected out of readings and predictions alike,
+by least squares; so reading by reading, the measured value is the prediction plus the residual.
 """
 
 import math
@@ -19,7 +19,7 @@ from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import MeasurementError
 from rtec.estimation.columns import effect_columns, ordered
-from rtec.estimation.flexible import flexible_columns, less
+from rtec.estimation.flexible import flexible_columns, unexplained
 from rtec.estimation.floor import Floor, flattened, floors, tails_of
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
@@ -34,16 +34,16 @@ Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
 ABOVE = 1.1
-"""Measured errors of less than so many times the floor have nothing to explain."""
+"""Measured errors below this many times the floor give nothing to explain."""
 WORSE = 2.0
-"""A model that leaves so many times the mean square of what is measured makes it worse."""
+"""A model makes the error worse where its residual has this many times the mean square of the readings."""
 SURELY = 1.5
-"""So many times the floor are never left by noise alone."""
+"""Noise alone never gives a residual of this many times the floor."""
 NO_ARM, NOTHING = 1e-12, 1e-9
 SLOW = 0.5
-"""A slow drift of more than so many times the floor is worth a word."""
+"""A slow drift above this many times the floor is reported."""
 FEWEST = 4
-"""Readings below which nothing can be told from noise."""
+"""With fewer readings nothing is distinguishable from noise."""
 
 
 def compare(
@@ -57,29 +57,29 @@ def compare(
     """Compare a model with measurements.
 
     Args:
-        model: as it stands.
+        model: keeps its numbers.
         measurements: of its machine, by any instruments.
-        seed: of the draws of chance.
-        stage: told how far it is.
-        residual: given the readings and the predictions as soon as they are known, before the noise is.
+        seed: of the random draws.
+        stage: progress callback: called with the stage, steps done, steps in total.
+        residual: called with the readings and the predictions as soon as they are known, before the noise is.
 
     Raises:
         MeasurementError: the measurements are of another machine, or lack a channel that the model needs.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     _check(model, measurements)
     check_enough(measurements, FEWEST)
     with one_blas_thread():
-        tell("reading, predicting", 0, 1)
+        progress("reading, predicting", 0, 1)
         judged = Judgement(model, clean(measurements, model.reference_degc))
         readings, notes = judged.readings, outlier_words(judged.given.wrong)
         traces = _traces(model, readings)
         if residual is not None:
             residual(traces)
-        tell("finding the noise", 0, 1)
+        progress("finding the noise", 0, 1)
         columns = flexible_columns(readings, judged.base.columns)
         whitener = _of_chance(readings, traces.left, judged.flexible, judged.noise)
-        tails = tails_of(whitener, less(readings, columns, traces.left))
+        tails = tails_of(whitener, unexplained(readings, columns, traces.left))
         worst = locate(readings, traces.left, whitener, tails, seed, stage)
     items = tuple(
         _compared(model, traces, s, f, w, columns[s.part])
@@ -91,7 +91,7 @@ def compare(
 
 
 def _stuck(readings: Readings) -> tuple[str, ...]:
-    """Words for each reading column that shows one value from beginning to end."""
+    """Words on each reading column that shows one value from beginning to end."""
     return tuple(
         f"{readings.measurements[s.source].name} {s.column}: the display does not move: all {len(s)} readings are "
         f"{readings.values[s.start]:.6g}; look at the instrument and its cable"
@@ -122,10 +122,11 @@ def _traces(model: Model, readings: Readings) -> Traces:
 
 
 def _of_chance(readings: Readings, left: Floats, flexible: Whitener, plain: Whitener) -> Whitener:
-    """The noise that chance is drawn from.
+    """The noise for random draws.
 
-    As a rule the one that may hold what the model misses, for it cries wolf less; but where far more is left than any
-    noise beside a smooth dependence, the one without that dependence: else a slow error would count as drift.
+    Normally it is the one that may contain what the model misses, for it gives fewer false alarms. But where the
+    residual is far larger than any noise beside a smooth function, it is the one without that function: else a slow
+    error would count as drift.
     """
     noises = []
     for s, f, p, floor in zip(readings.series, flexible.noises, plain.noises, floors(flexible), strict=True):
@@ -155,16 +156,16 @@ def size_of(values: Floats) -> Size:
 
 
 def explained(measured: float, left: float, floor: float) -> float | None:
-    """Share of the explainable mean square that is explained: 1 at the floor, 0 where nothing, -1 at the least.
+    """Share of the explainable mean square that is explained: 1 at the floor, 0 where nothing, at least -1.
 
     Args:
         measured, left, floor: root mean squares in one unit.
 
     Returns:
-        None where what is measured is hardly above the floor.
+        None where the measured error is hardly above the floor.
     """
     if not measured > ABOVE * floor:
-        # Nothing to explain, and a model that says far more than there is makes it worse all the same.
+        # Nothing to explain; still, a prediction that is far too large makes the error worse.
         return -1.0 if left**2 > WORSE * max(measured, floor) ** 2 else None
     share = 1.0 - (left**2 - floor**2) / (measured**2 - floor**2)
     return min(max(share, -1.0), 1.0)
@@ -203,13 +204,13 @@ def _parts(model: Model, traces: Traces, s: Series) -> tuple[EffectShare, ...]:
 
 
 def _outside(model: Model, readings: Readings, s: Series) -> tuple[Outside, ...]:
-    """Where the readings leave the range of the fit; a channel that was not recorded is not in question."""
+    """Where the readings leave the range of the fit; an unrecorded channel is not checked."""
     state, out = readings.states[s.source], []
     for channel, (low, high) in model.valid_range.items():
         if not state.has(channel):
             continue
         value = state.value(channel)[s.row]
-        # A file keeps some digits of the range, the readings have all of theirs.
+        # A file rounds the range; the readings have all digits.
         slack = 1e-6 * max(abs(low), abs(high), 1.0)
         n = int(((value < low - slack) | (value > high + slack)).sum())
         if n and math.isfinite(low) and math.isfinite(high):

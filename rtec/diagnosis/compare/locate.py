@@ -1,18 +1,18 @@
-"""Where the model is worst: stretches of a channel, or of two, in which more is left than chance explains.
+"""Where the model is worst: stretches of a channel, or of two, with a larger residual than noise alone explains.
 
-Chance is drawn from the fitted noise model, with its drift and tails, and treated as the readings are. A region is told
-only where its score beats the best of all regions, of all series, in 98 % of the draws; where it holds at least 1.5 %
-of the readings; and where at least a fifth more is left there than elsewhere. A pair of channels is told only where it
-beats the best single channel and leaves clearly more than the rest of either channel's stretch.
+Random draws come from the fitted noise model, with its drift and tails, and are treated as the readings are. A region
+is reported only where its score beats the best of all regions, of all series, in 98 % of the draws; where it has at
+least 1.5 % of the readings; and where its residual is at least a fifth larger than elsewhere. A pair of channels is
+reported only where it beats the best single channel and has a clearly larger residual than the rest of either stretch.
 
-Where the readings going + and those going - lie apart by the same amount everywhere: that is no place.
+Where the readings in direction + and those in direction - differ by the same amount everywhere, that is no place.
 
-Scans all stretches of a channel, and rectangles of two, for the one that is worst beyond chance.
+The module scans all stretches of a channel, and rectangles of two, for the worst one beyond noise alone.
 
-The score of a region is that of a change of variance: twice the log likelihood ratio of "the mean square inside is
-another than outside" over "the same everywhere", its root signed; so the region that holds all bad readings and no
-others is best. It is divided by its root mean square over draws of noise, which do to that very region what drift
-and the nuisances do; the largest over all regions, draw by draw, is what chance can do.
+The score of a region is that of a change of variance: twice the log likelihood ratio of "the mean square inside differs
+from that outside" over "the same everywhere", its root signed. So the region with all bad readings and no others is
+best. The score is divided by its root mean square over draws of noise, in which drift and nuisances affect that region
+as they do in the readings; the largest over all regions, draw by draw, is what noise alone can reach.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,18 +35,18 @@ from rtec.wording import number
 Floats = NDArray[np.float64]
 
 STRETCHES, READINGS = 4, 3
-"""Stretches of the way needed, and readings each way in each."""
+"""Fewest stretches of the way, and fewest readings in each direction in each."""
 EVEN = 0.25
-"""Of the gap, by which it may differ from stretch to stretch, standard deviation."""
+"""Standard deviation of the gap from stretch to stretch, as a share of the gap, at most."""
 MOST_OF_IT = 0.5
-"""Share of the mean square left that the gap makes up."""
+"""Least share of the residual's mean square that the gap explains."""
 APART_LEVEL = 0.02
 
 
 def both_ways(
     readings: Readings, series: Series, left: Floats, noise: Floats, fine: Sequence[Variable]
 ) -> Region | None:
-    """The axis whose two ways lie apart by the same amount everywhere; None where no axis does, or places tell more.
+    """The axis whose directions differ by the same amount everywhere; None where no axis does, or places explain more.
 
     Args:
         readings: that were compared.
@@ -93,7 +93,7 @@ def _of_axis(
 
 
 def _gaps(place: Variable, plus: NDArray[np.bool_], minus: NDArray[np.bool_], left: Floats) -> Floats:
-    """Mean going + less mean going -, in each stretch of the way that holds enough of both."""
+    """Mean in direction + less mean in direction -, in each stretch of the way with enough of both."""
     sizes, sums = [], []
     for mask in (plus, minus):
         sizes.append(np.bincount(place.code[mask], minlength=len(place)))
@@ -106,7 +106,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 LARGEST = 0.6
-"""A region with more of the readings is not "where", it is nearly everywhere."""
+"""A region with more of the readings is no place: it is nearly everywhere."""
 FEWEST, SHARE = 8, 0.015
 TINY = 1e-12
 
@@ -118,7 +118,7 @@ class Spot:
     Attributes:
         variables: one or two.
         first, last: stretches of each, both included.
-        score: over what noise makes of it; large is worse.
+        score: relative to the scores of noise alone; large is worse.
     """
 
     variables: tuple[Variable, ...]
@@ -128,7 +128,7 @@ class Spot:
 
     @cached_property
     def inside(self) -> Bools:
-        """Which readings lie in it, (n,)."""
+        """Which readings are in it, (n,)."""
         whole = [(v.code >= a) & (v.code <= b) for v, a, b in zip(self.variables, self.first, self.last, strict=True)]
         return np.asarray(np.logical_and.reduce(whole))
 
@@ -139,7 +139,7 @@ class Spot:
 
 @dataclass(frozen=True)
 class Scan:
-    """The best region of each kind, and what chance made of all.
+    """The best region of each kind, and the best scores of noise alone.
 
     Attributes:
         single, pair: best of one channel, and of two; None where there is none at all.
@@ -157,10 +157,10 @@ def scan(fine: Sequence[Variable], pairs: Sequence[tuple[Variable, Variable]], s
     """Score every region.
 
     Args:
-        fine: channels by themselves.
-        pairs: channels two by two.
-        squares: of the residuals, then of each draw of noise, (n, 1 + draws); single precision will do.
-        free: readings that count, (n,); the others lie in regions that were found before.
+        fine: single channels.
+        pairs: pairs of channels.
+        squares: of the residuals, then of each draw of noise, (n, 1 + draws); single precision suffices.
+        free: readings that count, (n,); the others are in earlier regions.
     """
     chance = np.full(squares.shape[1] - 1, -np.inf)
     singles, best_pair = [], None
@@ -206,7 +206,7 @@ def _rectangles(
 ) -> Spot | None:
     sums, counts = _cells(pair, whole, free)
     (a, b), (c, d) = _stretches(len(pair[0])), _stretches(len(pair[1]))
-    # All of one channel is a region of the other by itself.
+    # The whole of one channel is a region of the other by itself.
     a, b = (x[(b - a) < len(pair[0]) - 1] for x in (a, b))
     c, d = (x[(d - c) < len(pair[1]) - 1] for x in (c, d))
     i, j = (g.ravel() for g in np.meshgrid(np.arange(len(a)), np.arange(len(c)), indexing="ij"))
@@ -228,7 +228,7 @@ def _best(
     n: float,
     chance: Floats,
 ) -> Spot | None:
-    """Best region; raises `chance` to the best score of each draw. Of all: sums of squares, and how many."""
+    """Best region; raises `chance` to the best score of each draw. `total` and `n` are sums over all readings."""
     good = (count >= max(FEWEST, SHARE * n)) & (count <= LARGEST * n)
     if not good.any():
         return None
@@ -262,12 +262,12 @@ MOST = 5
 DRAWS, MOST_NUMBERS = 300, 20_000_000
 LEVEL = 0.98
 WORSE = 1.2
-"""Less than a fifth more is nothing that anybody would look for."""
+"""A residual less than a fifth larger is of no use in a search for causes."""
 PAIR_WORSE, PAIR_BETTER = 1.3, 1.1
 FURTHER, WEIGHT = 0.5, 0.05
-"""A further region is told where at least half as much is left as in the first, and this share of the mean square."""
+"""A further region has at least half of the first one's residual, and this share of the mean square."""
 ALIKE = 0.7
-"""Share of the readings that two regions hold in common, from which on they are told as the same."""
+"""Two regions are the same from this share of common readings on."""
 
 
 def locate(
@@ -277,18 +277,18 @@ def locate(
 
     Args:
         readings: that were compared.
-        left: measured minus predicted, nuisances taken out, (m,).
+        left: residual, nuisances projected out, (m,).
         whitener: noise of every series.
         tails: as for `draws`.
-        seed: of the draws of chance.
-        stage: told how far it is.
+        seed: of the random draws.
+        stage: progress callback: called with the stage, steps done, steps in total.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     count = int(np.clip(MOST_NUMBERS // max(len(readings), 1), 60, DRAWS))
     noise = draws(whitener, tails, count, np.random.default_rng([seed, 500]))
     searches, scans = [], []
     for i, s in enumerate(readings.series):
-        tell("looking where it is worst", i, len(readings.series))
+        progress("looking where it is worst", i, len(readings.series))
         search = _Search(readings, s, left[s.part], noise[s.part])
         searches.append(search)
         scans.append(search.scan())
@@ -308,11 +308,11 @@ class _Search:
         self.free = np.ones(len(left), dtype=bool)
 
     def scan(self) -> Scan:
-        """Score all regions of what is free."""
+        """Score all regions of the free readings."""
         return scan(self.fine, self.pairs, self.squares, self.free)
 
     def regions(self, first: Scan, chance: Floats) -> tuple[Region, ...]:
-        """Take the best region, set its readings aside, and look again; where both ways lie apart, tell that alone."""
+        """Take the best region, set its readings aside, and repeat; where both directions differ, report only that."""
         apart = both_ways(self.readings, self.series, self.left, self.noise, self.fine)
         if apart is not None:
             return (apart,)
@@ -358,7 +358,7 @@ class _Search:
         return _rms(self.left[inside]) > FURTHER * _rms(self.left[first]) and share > WEIGHT
 
     def _same(self, spot: Spot, now: Scan, limit: float) -> tuple[str, ...]:
-        """Regions of other channels that hold nearly the same readings."""
+        """Regions of other channels with nearly the same readings."""
         mine = spot.inside & self.free
         names = {v.name for v in spot.variables}
         out = []
@@ -387,7 +387,7 @@ def _bounds(spot: Spot) -> tuple[Bound, ...]:
 
 
 def _pairs(fine: list[Variable], coarse: list[Variable]) -> list[tuple[Variable, Variable]]:
-    """Channels two by two: cut finely where the other has few values, coarsely else; time and run are the same."""
+    """Pairs of channels: cut finely where the other has few values, coarsely else; time and run are one."""
     by_name = {v.name: v for v in fine}
     out = []
     for one, two in combinations(coarse, 2):

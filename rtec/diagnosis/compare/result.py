@@ -1,4 +1,4 @@
-"""What a comparison says: for each reading column how wrong the model is, against the noise floor, and where."""
+"""Result of a comparison: for each reading column how wrong the model is, against the noise floor, and where."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -39,15 +39,15 @@ class Region:
 
     Attributes:
         bounds: one channel, or a pair of them.
-        rms: root mean square left there, µm or µrad.
-        mean: mean left there, with its sign.
+        rms: root mean square of the residual there, µm or µrad.
+        mean: mean of the residual there, with its sign.
         elsewhere: root mean square of the readings in none of the regions.
         n: readings there.
-        p: chance that noise alone shows such a contrast anywhere in the comparison.
+        p: probability that noise alone shows such a contrast anywhere in the comparison.
         words: in plain words.
-        same: other regions, in words, that hold nearly the same readings: the data cannot say which of them it is.
-        apart: how far readings going + and going - lie apart, with its sign, where they do so by the same amount
-            everywhere: then it is no place, and `elsewhere` is what is left with that taken out; None otherwise.
+        same: other regions, in words, with nearly the same readings: the data cannot distinguish them.
+        apart: difference between readings in direction + and -, with its sign, where it is the same everywhere: then it
+            is no place, and `elsewhere` is the residual without it; None otherwise.
     """
 
     bounds: tuple[Bound, ...]
@@ -82,7 +82,7 @@ class Region:
 
 @dataclass(frozen=True)
 class EffectShare:
-    """What one effect of the model adds to a reading column, nuisances taken out.
+    """Contribution of one effect of the model to a reading column, nuisances projected out.
 
     Attributes:
         label: effect, component, and what it depends on.
@@ -98,13 +98,13 @@ class EffectShare:
 
 @dataclass(frozen=True)
 class Outside:
-    """Readings that lie outside the range in which the model was fitted.
+    """Readings outside the range in which the model was fitted.
 
     Attributes:
         channel: name; `unit` its unit.
         low, high: of the model.
         lowest, highest: of the readings.
-        n: how many lie outside.
+        n: number of readings outside.
     """
 
     channel: str
@@ -126,22 +126,22 @@ class Size:
 
 @dataclass(frozen=True)
 class Compared:
-    """One reading column of one measurement; nuisances of runs and set-up are taken out of all sizes.
+    """One reading column of one measurement; nuisances of runs and set-up are projected out of all sizes.
 
     Attributes:
-        name, column, instrument: which readings.
+        name, column, instrument: identify the readings.
         unit: "um" or "urad".
-        n, runs: readings, and runs they lie in.
-        measured, predicted, left: sizes; left is measured minus predicted.
-        noise: its floor, where that comes from, and the slow drift beside it.
+        n, runs: numbers of readings and of their runs.
+        measured, predicted, left: sizes; `left` is the residual, measured minus predicted.
+        noise: its floor, the source of that, and the slow drift beside it.
         explained: share of the explainable mean square that the model explains; None where the measured error is at
-            the floor, -1 or below told as -1.
+            the floor, at least -1.
         sees: component errors that the instrument sees here.
-        parts: what each effect adds, largest first; those that add nothing are left out.
+        parts: contribution of each effect, largest first; without those that contribute nothing.
         outside: where the readings leave the model's range.
         worst: regions, best evidence first.
-        shape: the plainest shape of the residual; None at the floor, or where it has none.
-        drift_goes_with: what most of the slow drift goes with, a temperature or the place, in words; empty where none.
+        shape: the simplest shape of the residual; None at the floor, or where it has none.
+        drift_goes_with: a temperature or place that explains most of the slow drift, in words; empty where none does.
     """
 
     name: str
@@ -164,7 +164,7 @@ class Compared:
 
     @property
     def floor(self) -> float:
-        """What noise alone leaves, root mean square."""
+        """Root mean square of noise alone, in `unit`."""
         return self.noise.value
 
     def facts(self) -> dict[str, Any]:
@@ -201,12 +201,12 @@ class Compared:
 
 @dataclass(frozen=True)
 class Traces:
-    """What the figures need, reading by reading, nuisances taken out.
+    """Data of the figures, reading by reading, nuisances projected out.
 
     Attributes:
         readings: that were compared.
         measured, predicted: µm or µrad, (m,).
-        parts: what each effect adds, by label, (m,); they sum to `predicted`.
+        parts: contribution of each effect, by label, (m,); they sum to `predicted`.
     """
 
     readings: Readings
@@ -227,8 +227,8 @@ class Comparison(Result):
     Attributes:
         model: its name.
         items: one for each reading column of each measurement.
-        notes: what was done to the data, in words.
-        seed: of the draws of chance.
+        notes: treatment of the data, in words.
+        seed: of the random draws.
         judged: all reading columns together.
         traces: for the figures.
         doubts: about the record itself.
@@ -245,7 +245,7 @@ class Comparison(Result):
     doubts: tuple[Doubt, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
-        """One for each reading column of each measurement."""
+        """One row for each reading column of each measurement."""
         return [c.facts() for c in self.items]
 
     def facts(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""The plainest shape of a residual, in words: a line, a bend or a step along one channel.
+"""The simplest shape of a residual, in words: a line, a bend or a step along one channel.
 
-And which recorded temperature a slow drift goes with after all, delayed or bent: what follows the channels smoothly at
-the same instant is out of it already, where there were readings enough for that.
+And the recorded temperature that a slow drift follows with a delay or a curve. What follows the channels smoothly at
+the same instant is already projected out, where there were enough readings for that.
 """
 
 from dataclasses import dataclass
@@ -20,24 +20,24 @@ Floats = NDArray[np.float64]
 MOST_OF_IT = 0.5
 """Share of the mean square that a shape must explain."""
 SIMPLER = 0.8
-"""A bend is named only where it leaves less than this share of the mean square that the line leaves."""
+"""A bend is named only where its residual has less than this share of the line's mean square."""
 REAL_DEGC = 0.5
 SAME_MM = 0.02
 AGAIN = "comes again at the same places"
 READINGS = 4000
-"""A slow drift shows in so many readings."""
+"""Fewest readings in which a slow drift shows."""
 UNITS = {"um": "µm", "urad": "µrad"}
 
 
 @dataclass(frozen=True)
 class ResidualShape:
-    """How a residual goes with one channel.
+    """Dependence of a residual on one channel.
 
     Attributes:
         kind: "line", "bend" or "step" (between the directions of motion).
         channel: name of the channel.
         share: of the mean square that it explains.
-        words: what it does, in words.
+        words: the dependence in words.
     """
 
     kind: Literal["line", "bend", "step"]
@@ -47,7 +47,7 @@ class ResidualShape:
 
 
 def shape_of(readings: Readings, s: Series, left: Floats) -> ResidualShape | None:
-    """The plainest shape that explains most of a residual, (n,); None where none does."""
+    """The simplest shape that explains most of a residual, (n,); None where none does."""
     unit, state = UNITS[s.unit], readings.states[s.source]
     y = without_runs(s, left)
     y = y - y.mean()
@@ -75,7 +75,7 @@ def shape_of(readings: Readings, s: Series, left: Floats) -> ResidualShape | Non
 
 
 def _along(s: Series, y: Floats, x: Floats, channel: str, name: str, unit: str) -> list[tuple[float, ResidualShape]]:
-    """A line and a bend along a channel, with what each is worth: a bend costs more."""
+    """A line and a bend along a channel, with the value of each: a bend costs more."""
     u = (x - x.mean()) / max(float(np.ptp(x)), 1e-300)
     line, slope = _explained(s, y, u[:, None])
     bend, _ = _explained(s, y, np.column_stack([u, u**2]))
@@ -97,10 +97,10 @@ def _explained(s: Series, y: Floats, columns: Floats) -> tuple[float, Floats]:
 
 
 def comes_again(readings: Readings, s: Series, left: Floats) -> float:
-    """Share of the mean square of a residual, (n,), that other runs show at the same places, going the same way.
+    """Share of the mean square of a residual, (n,), that other runs show at the same places in the same direction.
 
-    Where places hardly come again, as in a record taken on the fly, what the other runs read nearest to each place
-    along the only axis that moves, whichever way.
+    Where places hardly recur, as in a record taken on the fly: what the other runs read nearest to each place along the
+    only axis that moves, in either direction.
     """
     state = readings.states[s.source]
     poses = readings.poses_mm[s.source][s.row]
@@ -122,7 +122,7 @@ def comes_again(readings: Readings, s: Series, left: Floats) -> float:
 
 
 def _nearest_in_other_runs(place: Floats, s: Series, y: Floats) -> Floats:
-    """What all other runs together read at each place, between the readings beside it, (n,)."""
+    """Interpolated readings of all other runs at each place, (n,)."""
     out = np.empty(len(y))
     for run in np.unique(s.run):
         mine = s.run == run
@@ -132,12 +132,12 @@ def _nearest_in_other_runs(place: Floats, s: Series, y: Floats) -> Floats:
 
 
 def drift_goes_with(readings: Readings, s: Series, left: Floats, smooth: Floats) -> str:
-    """What most of a slow drift goes with, in words: the place, or a temperature and its delay; empty where nothing.
+    """What explains most of a slow drift, in words: the place, or a temperature and its delay; empty where nothing.
 
     Args:
         readings, s: the series.
         left: its residual, (n,).
-        smooth: columns that the drift is beside, (n, p).
+        smooth: columns that were projected out of the drift, (n, p).
     """
     if comes_again(readings, s, left) > MOST_OF_IT:
         return AGAIN

@@ -1,8 +1,8 @@
-"""Adds effects to a model, refits everything, and says what it bought on runs that were left out.
+"""Adds effects to a model, refits everything, and reports the error on held-out runs before and after.
 
-An effect as a person asks for it: its name, a component, and what else it needs to know.
+A user requests an effect by its name, a component and its arguments.
 
-What was passed over when one of several effects was taken that the readings cannot tell apart.
+Where the readings cannot separate the added effect from others, those rivals are recorded.
 """
 
 import tomllib
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
-from rtec.diagnosis.extend.parameter_scan import ranged
+from rtec.diagnosis.extend.parameter_scan import scan_ranges
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
@@ -47,12 +47,12 @@ TOLD = 4
 
 @dataclass(frozen=True)
 class PassedOver:
-    """An effect that would have done as well.
+    """An effect that explains the readings equally well.
 
     Attributes:
         label: short name.
         confidence: its posterior probability; None where it was not fitted.
-        test: the measurement that tells it from what was taken; empty where none is known.
+        test: the measurement that separates it from the added effect; empty where none is known.
     """
 
     label: str
@@ -60,7 +60,7 @@ class PassedOver:
     test: str
 
     def facts(self) -> dict[str, Any]:
-        """As plain data, without what is not known."""
+        """As plain data, without unknown items."""
         out: dict[str, Any] = {"effect": self.label}
         if self.confidence is not None:
             out["confidence"] = self.confidence
@@ -68,13 +68,13 @@ class PassedOver:
 
 
 def rivals_of(found: Diagnosis, taken: Finding) -> tuple[PassedOver, ...]:
-    """Everything that these readings cannot tell from what was taken, likeliest first.
+    """All effects that these readings cannot distinguish from the added one, likeliest first.
 
-    What explains another part of the readings is no rival of it: it is looked for again once this one is in the model.
+    An effect that explains another part of the readings is no rival: the next search considers it again.
 
     Args:
         found: the diagnosis that proposed it.
-        taken: one of its findings.
+        taken: the added one of its findings.
     """
     if not found.findings or not found.findings[0].accepted:
         return ()
@@ -101,8 +101,8 @@ def _test(alike: Alike | None) -> str:
     return alike.separating_test if alike is not None else ""
 
 
-def said(taken: Finding, rivals: Sequence[PassedOver]) -> tuple[str, ...]:
-    """That the readings did not decide, which rivals there were, and what tells each apart."""
+def rival_notes(taken: Finding, rivals: Sequence[PassedOver]) -> tuple[str, ...]:
+    """Note that the readings did not decide, with the rivals and the test that separates each."""
     named = ", ".join(
         r.label + (f" ({percent(r.confidence)})" if r.confidence is not None else "") for r in rivals[:TOLD]
     )
@@ -116,11 +116,11 @@ Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
 WORTH = 1e-3
-"""A relative fall of the held-out error of less is none: numbers that are free to move always find a little."""
+"""A smaller relative fall of the held-out error counts as none: free numbers always lower it a little."""
 CLEARLY = 0.02
-"""A model keeps its own numbers where that lowers the error on held-out runs by more than this share."""
+"""A model keeps its own numbers if that lowers the error on held-out runs by more than this share."""
 ROUNDING = 1e-9
-"""What is left of a column that the instrument's own unknowns take up entirely, as a share of it, is no more."""
+"""A column is absorbed by the instrument's own unknowns where they leave less than this share of it."""
 
 
 @dataclass(frozen=True)
@@ -129,19 +129,19 @@ class Added(Result):
 
     Attributes:
         model: refitted, with its history.
-        labels: what was added.
-        before: the model as it was, refitted to the same measurements.
-        after: with the new effects.
-        floor: what noise alone leaves, as `compare` has it.
+        labels: of the added effects.
+        before: errors of the model before, refitted to the same measurements.
+        after: errors with the new effects.
+        floor: noise floor, as in `compare`.
         unit: "um", "urad", or "noise" (multiples of it).
-        better: whether the error on held-out runs fell, by more than nothing.
+        better: whether the error on held-out runs fell by more than `WORTH`.
         smoothed: held-out error with temperatures smoothed both ways in time, which the loop cannot do.
-        notes: what else is to be known, in words.
+        notes: further remarks, in words.
         floor_from: "repeats", "short-time differences", or both.
-        passed_over: what these readings cannot tell from what was added.
-        undetermined: effects that cancel each other since it was added: only their sum is known.
-        doubts: about the record, in words, where it is in such doubt that no number of the model should follow it.
-        own_kept: effects of the model, from the first on, that have kept their numbers.
+        passed_over: effects that these readings cannot distinguish from the added one.
+        undetermined: effects that cancel each other since the addition: only their sum is determined.
+        doubts: about the record, in words, where they rule out fitting any number of the model to it.
+        own_kept: number of effects of the model, from the first on, that have kept their numbers.
     """
 
     page_maker: ClassVar[str] = "rtec.report.additions:added_page"
@@ -189,10 +189,10 @@ class Added(Result):
 def new_effect(
     effect: Effect, model: Model, theta: Mapping[str, float] | None = None, values: Mapping[str, float] | None = None
 ) -> FittedEffect:
-    """An effect to be added: non-linear parameters at their start or as given, coefficients zero or as given.
+    """A new effect: non-linear parameters at their start or as given, coefficients zero or as given.
 
     Raises:
-        ModelError: it does not fit the machine, or a number is none of its own.
+        ModelError: it does not fit the machine, or has no number of this name.
     """
     check_effect(effect, model.machine, "add")
     linear, free = names_of(effect, model.machine)
@@ -214,30 +214,30 @@ def add(
     given: Clean | None = None,
     own: int | None = None,
 ) -> Added:
-    """Add effects and refit everything on the channels as the loop sees them.
+    """Add effects and refit everything, on the channels that the loop has.
 
     Where the model was not fitted to these readings before, and held-out runs are predicted better if it keeps its own
     numbers, only the new effects are fitted: numbers that few runs or a large drift determine badly would hide them.
 
     Args:
         model: the current model.
-        new: effects to add, from `new_effect`; none to only refit.
+        new: effects to add, from `new_effect`; empty for a mere refit.
         measurements: of its machine.
         margin: how far valid ranges reach beyond the readings.
-        stage: told how far it is.
-        given: the measurements, read already; the caller has looked whether the record is in doubt.
-        own: effects of the model, from the first on, whose numbers were not fitted to these readings; by default all,
-            or none where the model names one of the measurements.
+        stage: progress callback: called with the stage, steps done, steps in total.
+        given: the measurements, already read; the caller has checked the record for doubts.
+        own: number of effects of the model, from the first on, whose numbers were not fitted to these readings; by
+            default all, or none if the model names one of the measurements.
 
     Raises:
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
         ModelError: a new effect is in the model already, or no reading shows it.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     with one_blas_thread():
         again = any(m.fingerprint in model.measurements.values() for m in measurements)
         kept = own if own is not None else 0 if again else len(model.effects)
-        return _add(model, new, measurements, margin or Margin(), tell, given, kept)
+        return _add(model, new, measurements, margin or Margin(), progress, given, kept)
 
 
 def _add(
@@ -245,32 +245,32 @@ def _add(
     new: Sequence[FittedEffect],
     measurements: Sequence[Measurement],
     margin: Margin,
-    tell: Stage,
+    progress: Stage,
     given: Clean | None,
     own: int,
 ) -> Added:
     _check_new(model, new)
     check_enough(measurements)
-    tell("refitting the model as it is", 0, 3)
+    progress("refitting the model as it is", 0, 3)
     there = given or clean(measurements, model.reference_degc).without_ends()
     readings = there.readings
     wrong = in_doubt(Judgement(model, there)) if given is None else ()
     if all(d.kind == "wrong_scale" for d in wrong):
         check_scales(readings, predicted(model.effects, readings))
-    # Readings that the model was fitted to before say nothing new of how sure its numbers are.
+    # Readings of an earlier fit give no new information about the standard errors of the model's numbers.
     again = any(m.fingerprint in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None
     before = joint_fit(model.effects, readings, loose=loose)
-    tell("refitting with what is new" if new else "refitting", 1, 3)
+    progress("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, loose) if new else (no_worse(model, before), ())
-    tell("held-out runs", 2, 3)
+    progress("held-out runs", 2, 3)
     made = _judged(model, new, measurements, there, after, margin, own, 0)
     if new and own:
         kept = _with_own(model, after, own, readings, loose)
         other = _judged(model, new, measurements, there, kept, margin, own, own)
         if other.after.held_out < (1.0 - CLEARLY) * made.after.held_out:
             after, made = kept, other
-    tell("held-out runs", 3, 3)
+    progress("held-out runs", 3, 3)
     named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in known)
     better = made.better and not cancelling and not wrong
@@ -284,14 +284,14 @@ def _add(
 
 
 def in_doubt(judged: Judgement) -> tuple[Doubt, ...]:
-    """Why no number of a model should follow a record; empty where nothing is wrong with it."""
+    """Reasons why no number of a model should be fitted to a record; empty where there are none."""
     return tuple(d for d in doubts(judged) if d.blames_no_effect)
 
 
 NEAR = 0.02
-"""Periods and time constants that differ by less than this share are one."""
+"""Periods and time constants within this relative difference are one."""
 TAKEN_UP = 1e-3
-"""A column of which the model's own leave less than this share of its norm is confounded with them."""
+"""A column is confounded with the model's own where they leave less than this share of its norm."""
 
 
 def _near(one: float, other: float) -> bool:
@@ -308,7 +308,7 @@ def _taken_up(columns: Floats, before: Joint) -> bool:
 
 
 def no_worse(model: Model, refitted: Joint) -> Joint:
-    """A refit that leaves no more of the readings than the model as it stands: else the ordinary fit, else none."""
+    """The refit where its residual is no larger than the model's as it is; else the ordinary fit; else no refit."""
     readings = refitted.weights.readings
     stands = readings.values - predicted(model.effects, readings)
     bound = (1.0 + ROUNDING) * residual_size(model.effects, readings)
@@ -318,12 +318,12 @@ def no_worse(model: Model, refitted: Joint) -> Joint:
 
 
 def residual_size(effects: Sequence[FittedEffect], readings: Readings) -> float:
-    """What effects leave of the readings as they stand, relative to the readings; the measure of `improve`."""
+    """Residual of effects in the readings' own units, relative to the readings; the measure of `improve`."""
     return _size(readings, readings.values - predicted(effects, readings))
 
 
 def _size(readings: Readings, left: Floats) -> float:
-    """Root mean square of residuals, (m,), each series over the spread of the readings of equal instruments."""
+    """Root mean square of residuals, (m,), each series relative to the spread of the readings of equal instruments."""
     spread = spreads(readings, floor.cleaned(readings, readings.values))
     return floor.pooled(
         readings, floor.rms_by_series(readings, floor.cleaned(readings, left)), 1.0 / np.maximum(spread, 1e-12)
@@ -331,18 +331,18 @@ def _size(readings: Readings, left: Floats) -> float:
 
 
 def _moves(readings: Readings, column: Floats) -> bool:
-    """Whether more of a column, (m,), than rounding is left once the instruments' own unknowns are taken out."""
+    """Whether a column, (m,), is larger than rounding once the instruments' own unknowns are removed."""
     return bool(np.abs(floor.cleaned(readings, column)).max() > ROUNDING * np.abs(column).max())
 
 
 def _with_new(
     model: Model, new: Sequence[FittedEffect], before: Joint, readings: Readings, loose: float | None
 ) -> tuple[Joint, tuple[str, ...]]:
-    """Refit with what is new; also what its search is to be told of, in words."""
+    """Refit with the new effects; also notes on the search of their parameters, in words."""
     found: list[FittedEffect] = []
     words: list[str] = []
     for fitted in new:
-        placed, said = ranged(fitted, before, readings)
+        placed, scan_notes = scan_ranges(fitted, before, readings)
         columns = check_finite(placed, readings)
         if not any(_moves(readings, column) for column in columns.T):
             raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
@@ -352,7 +352,7 @@ def _with_new(
                 "where they differ"
             )
         found.append(placed)
-        words += said
+        words += scan_notes
     least = least_noise(readings, floor.cleaned(readings, before.left))
     return joint_fit((*model.effects, *found), readings, loose=loose, least=least), tuple(words)
 
@@ -386,16 +386,16 @@ def _judged(
     fresh: int,
     own: int,
 ) -> Added:
-    """What the model left before and leaves after, and the model with its history.
+    """Residual before and after, and the model with its history.
 
     Args:
         model: the model before.
-        new: what is added.
+        new: the added effects.
         measurements, given: the readings.
         after: the fit.
         margin: of the valid ranges.
-        fresh: effects whose numbers were not fitted to these readings before; with their own numbers all are held out.
-        own: effects that keep their numbers in the fit.
+        fresh: number of effects whose numbers were not fitted to these readings before: for them all runs are held out.
+        own: number of effects that keep their numbers in the fit.
     """
     effects = after.effects
     grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
@@ -421,7 +421,7 @@ def _judged(
 
 
 def refused(added: Added) -> str:
-    """Why an addition is not worth its place, in words."""
+    """Why an addition does not improve the model enough, in words."""
     if added.doubts:
         return f"the record is in doubt: {' '.join(added.doubts)}".rstrip(".")
     if added.undetermined:
@@ -436,7 +436,7 @@ def refused(added: Added) -> str:
 
 
 def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:
-    """What effects say, (m,)."""
+    """Prediction of effects, (m,)."""
     out = np.zeros(len(readings))
     for f in effects:
         columns = readings.columns(f.effect, f.theta)
@@ -445,7 +445,7 @@ def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:
 
 
 def is_there(model: Model, fitted: FittedEffect) -> bool:
-    """Whether a model has an effect already; a wave may be there twice, with another period, and a delay likewise."""
+    """Whether a model already has an effect; a wave with another period is a different one, and a delay likewise."""
     same = [f for f in model.effects if f.effect == fitted.effect]
     return any(not f.theta or all(_near(f.theta[n], fitted.theta[n]) for n in f.theta) for f in same)
 
@@ -468,10 +468,10 @@ def _with_smooth(joint: Joint, scale: Floats) -> float:
 def asked_effect(name: str, component: str | None, given: Mapping[str, Any], model: Model) -> FittedEffect:
     """Build an effect from its name, a component and what else it needs.
 
-    An axis that is not named is the component's own. Numbers (coefficients, time constants) may be given as a start.
+    An axis that is not given is the component's own. Coefficients and time constants may be given as a start.
 
     Raises:
-        ModelError: what is missing or wrong, with what is allowed.
+        ModelError: an argument is missing or wrong; the message lists what is allowed.
     """
     name = name.lower() if name.lower() in all_effects() else name
     where = f"effect {name!r}"
@@ -490,15 +490,15 @@ def asked_effect(name: str, component: str | None, given: Mapping[str, Any], mod
 
 
 def check_one(name: str | None, expr: str | None, refit: bool) -> None:
-    """Check that one thing was asked for: a name, an expression, or a refit.
+    """Check that one thing was requested: a name, an expression, or a refit.
 
     Raises:
         ModelError: more than one; a file in the place of the name belongs to `--data A B C`.
     """
     named = name is not None and name.lower() in all_effects() and not Path(name).exists()
-    said = [f"effect {name!r}"] * named + ["--expr"] * (expr is not None) + ["--refit"] * refit
-    if len(said) > 1:
-        raise ModelError(f"add: {' and '.join(said)} together: give either a name, or --expr, or --refit")
+    requested = [f"effect {name!r}"] * named + ["--expr"] * (expr is not None) + ["--refit"] * refit
+    if len(requested) > 1:
+        raise ModelError(f"add: {' and '.join(requested)} together: give either a name, or --expr, or --refit")
 
 
 def settings_of(texts: Sequence[str], where: str) -> dict[str, Any]:
@@ -521,7 +521,7 @@ def _pair(text: str, where: str) -> tuple[str, Any]:
 
 
 def _needed(kind: type[Effect], arguments: dict[str, Any], model: Model, where: str) -> None:
-    """Name what is missing together with what the machine has to offer."""
+    """Raise an error that names the missing arguments and what the machine has to offer."""
     machine = model.machine
     offers = {"sensor": machine.sensor_names, "front": machine.sensor_names, "back": machine.sensor_names}
     offers["axis"] = machine.axis_names

@@ -1,4 +1,4 @@
-"""What a change leaves in the model file: its entry of the history, wider ranges, and what else is to be known."""
+"""What a change writes to the model file: its entry of the history, wider ranges, and notes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ class Errors:
     """Root mean squares, in the unit of the change.
 
     Attributes:
-        as_given: what the model left before anything was refitted; None where it was refitted.
-        inside: what is left of the readings that were fitted.
-        held_out: what is left of runs that were left out.
+        as_given: residual of the model before any refit; None for a refitted model.
+        inside: residual of the fitted readings.
+        held_out: error on held-out runs.
     """
 
     as_given: float | None
@@ -31,7 +31,7 @@ class Errors:
 def ranges_of(
     model: Model, effects: Sequence[FittedEffect], readings: Readings, margin: Margin
 ) -> dict[str, tuple[float, float]]:
-    """Ranges seen before and now, together."""
+    """Ranges of the model and of these readings, joined."""
     seen = [(m.state(model.reference_degc), np.arange(len(m))) for m in readings.measurements]
     out = dict(model.valid_range)
     for name, (low, high) in valid_range([f.effect for f in effects], seen, margin).items():
@@ -50,16 +50,16 @@ def entry_of(
     readings: int,
     model: Model,
 ) -> Mapping[str, Any]:
-    """The entry of the history; `rms_before` and `rms_after` are those of runs left out.
+    """The entry of the history; `rms_before` and `rms_after` are errors on held-out runs.
 
     Args:
         labels: of what was added; none for a refit.
-        before, after: errors; of a refit `before` is what the model left as it stood.
-        noise: its floor and where that comes from.
+        before, after: errors; for a refit `before` is the residual of the model as it was.
+        noise: its floor and the source of that.
         unit: of all of these.
-        measurements: given now.
-        readings: how many.
-        model: as it was.
+        measurements: of this fit.
+        readings: their number.
+        model: before the change.
     """
     given, known = {m.fingerprint for m in measurements}, set(model.measurements.values())
     return {
@@ -81,7 +81,7 @@ def entry_of(
 
 
 def notes_of(model: Model, measurements: Sequence[Measurement]) -> tuple[str, ...]:
-    """Which measurements the model was fitted on and which are not given now."""
+    """Measurements of earlier fits of the model that are not among these, in words."""
     given = {m.name for m in measurements}
     missing = [n for n in model.measurements if n not in given]
     if not missing:

@@ -1,10 +1,20 @@
-"""Diagnose and add, again and again, until nothing significant is left or the error is at the noise floor."""
+"""Diagnose and add in turn until nothing significant is missing or the error is at the noise floor."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from rtec.diagnosis.extend.add import WORTH, Added, add, in_doubt, is_there, new_effect, residual_size, rivals_of, said
+from rtec.diagnosis.extend.add import (
+    WORTH,
+    Added,
+    add,
+    in_doubt,
+    is_there,
+    new_effect,
+    residual_size,
+    rival_notes,
+    rivals_of,
+)
 from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
@@ -25,12 +35,12 @@ Reason = Literal[
 ]
 
 AT_FLOOR = 1.05
-"""Held-out error over the noise floor up to which a model is said to be at it."""
+"""Held-out error over the noise floor up to which a model is at the floor."""
 LITTLE = 0.02
 """A relative fall of the held-out error below this is not worth an effect."""
 MOST = 8
 DETERMINED = 3.0
-"""Standard errors from zero of each number of a further temperature: what is less sure cancels others on one day."""
+"""Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
 FURTHER = (
     "this is a further temperature of an effect that the model has, for a body between several sensors; it was taken "
     "because it predicts held-out runs better, and it names no cause of its own"
@@ -39,11 +49,11 @@ FURTHER = (
 
 @dataclass(frozen=True)
 class ProposedStep:
-    """What is asked before an effect is added.
+    """The question before an effect is added.
 
     Attributes:
-        diagnosis: with its candidates.
-        finding: proposed.
+        diagnosis: with all candidates.
+        finding: the proposed one.
         number: of the step, from 1.
     """
 
@@ -59,9 +69,9 @@ class Improved(Result):
     Attributes:
         model: the last one.
         steps: what was added, in order.
-        diagnoses: one for each step, and the last, which found nothing more or was not followed.
-        reason: why it ended.
-        refit: the model's own numbers fitted anew before all steps, where that was worth it.
+        diagnoses: one for each step, and the last, which named nothing more or was not followed.
+        reason: why the search ended.
+        refit: of the model's own numbers before all steps, where it lowered the held-out error.
     """
 
     page_maker: ClassVar[str] = "rtec.report.additions:improved_page"
@@ -73,7 +83,7 @@ class Improved(Result):
     refit: Added | None = None
 
     def rows(self) -> list[Mapping[str, Any]]:
-        """One for each effect that was added, with the error on held-out runs before and after it."""
+        """One row for each added effect, with the error on held-out runs before and after it."""
         return [
             {
                 "added": ", ".join(s.labels),
@@ -108,22 +118,22 @@ def improve(
     stage: Stage | None = None,
     step: Callable[[Added], None] | None = None,
 ) -> Improved:
-    """Fit the model's own numbers anew where they are out of date, then add what is missing until nothing is.
+    """Refit the model's own numbers where they are out of date, then add effects until none is missing.
 
     Args:
         model: the current model.
         measurements: of its machine.
-        ask: which candidate to add, None to stop; without it the best is added where the readings decide, and also
-            where several cannot be told apart (they predict the same here); the rivals are told in its notes and
-            its entry of the history.
-        ask_made: whether to keep what is worth it and names no cause: a refit (no labels), a further temperature;
-            without it, it is kept.
+        ask: returns the candidate to add, None to stop. Without it the best is added where the readings decide, and
+            also where several cannot be distinguished (they predict the same here); its notes and its entry of the
+            history list the rivals.
+        ask_made: returns whether to keep an improvement that names no cause: a refit (no labels), a further
+            temperature; without it, it is kept.
         seed, alpha, draws: of the diagnosis.
-        stage: told how far it is.
-        step: given the refit and each addition as soon as it is made.
+        stage: progress callback: called with the stage, steps done, steps in total.
+        step: called with the refit and each addition.
 
     Raises:
-        MeasurementError: as `diagnose`, or there are too few readings.
+        MeasurementError: as of `diagnose`, or there are too few readings.
     """
     check_enough(measurements)
     given = clean(measurements, model.reference_degc).without_ends()
@@ -132,9 +142,9 @@ def improve(
     if refit is None:
         return growth.grown(model, ask, ask_made)
     found = growth.diagnosed(model)
-    if found.verdict == "undecided":  # numbers that are refitted would take up what nobody knows yet
+    if found.verdict == "undecided":  # refitted numbers would absorb an unknown cause
         return Improved(model, (), (found,), "undecided")
-    if found.verdict == "nothing_missing" and not found.out_of_date:  # nor do they follow a drift
+    if found.verdict == "nothing_missing" and not found.out_of_date:  # nor are they refitted to a drift
         return Improved(model, (), (found,), "nothing_missing")
     if ask_made is not None and not ask_made(refit):
         return growth.grown(model, ask, ask_made)
@@ -145,12 +155,12 @@ def improve(
 
 
 class _Growth:
-    """One search: the same readings and the same measure from beginning to end.
+    """One search: the same readings and the same measure throughout.
 
     Args:
         measurements: as given.
-        given: their readings, wrong ones left out once and for all.
-        start: the model that it began with.
+        given: their readings, wrong ones already rejected.
+        start: the first model.
         chance: seed, alpha and draws of the diagnosis.
     """
 
@@ -170,19 +180,19 @@ class _Growth:
         self.own = 0 if again else len(start.effects)
 
     def refit(self, model: Model, alone: bool) -> Added | None:
-        """The model's own numbers refitted; None where that lowers the error on held-out runs by little.
+        """The model with refitted numbers; None where that lowers the error on held-out runs by little.
 
         Args:
             model: the model.
-            alone: nobody is asked.
+            alone: whether no user is asked.
         """
         if not model.effects or any(d.kind != "wrong_scale" for d in in_doubt(Judgement(model, self.given))):
-            return None  # of a record in doubt the diagnosis says what is wrong, and nothing is fitted to it
+            return None  # the diagnosis reports the doubts; nothing is fitted to a doubtful record
         made = add(model, [], self.measurements, stage=self.stage, given=self.given)
         if made.after.held_out > (1.0 - LITTLE) * made.before.held_out or not self._no_worse(made):
             return None
         if alone and one_pass(self.given.readings) and not _at_floor(made):
-            return None  # the numbers would take up what is missing, and position, direction and heat are one here
+            return None  # the numbers would absorb the missing effect: position, direction and heat are confounded
         return made
 
     def diagnosed(self, model: Model) -> Diagnosis:
@@ -198,7 +208,7 @@ class _Growth:
         ask: Callable[[ProposedStep], Finding | None] | None,
         ask_made: Callable[[Added], bool] | None,
     ) -> Improved:
-        """Diagnose and add, again and again."""
+        """Diagnose and add in turn."""
         steps: list[Added] = []
         diagnoses: list[Diagnosis] = []
         declined = False
@@ -223,9 +233,9 @@ class _Growth:
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
-            # What these data cannot distinguish from it may take its place, but for what happened at an instant.
+            # An effect that these data cannot distinguish from it may replace it, except an event at an instant.
             others = [f for f in found.findings[1:] if f.group and f.heldout_drop > 0.0 and "t0" not in f.theta]
-            if choice.partner is not None:  # of two, each alone
+            if choice.partner is not None:  # of a pair, each alone
                 others = [choice.partner, replace(choice, partner=None)]
             others = [] if ask else others
             added = self._first_gain(model, found, [picked, *others])
@@ -235,7 +245,7 @@ class _Growth:
         return Improved(model, tuple(steps), tuple(diagnoses), "steps")
 
     def _taken(self, added: Added, steps: list[Added]) -> Model:
-        """A step is made."""
+        """Report a step and keep it."""
         steps.append(added)
         self.own = added.own_kept
         if self.step:
@@ -244,7 +254,7 @@ class _Growth:
         return added.model
 
     def _further(self, model: Model) -> Added | None:
-        """A further temperature of an effect that is there, where it predicts held-out runs better."""
+        """A further temperature of an effect of the model, where it predicts held-out runs better."""
         new = further_temperature(Judgement(model, self.given))
         if new is None:
             return None
@@ -257,7 +267,7 @@ class _Growth:
         return replace(added, notes=(FURTHER, *added.notes)) if known and self._gains(added) else None
 
     def _first_gain(self, model: Model, found: Diagnosis, findings: Sequence[Finding]) -> Added | None:
-        """Add the first that predicts held-out runs better on the channels as the loop has them."""
+        """The first addition that predicts held-out runs better on the channels that the loop has."""
         for finding in findings:
             pair = [finding] if finding.partner is None else [finding, finding.partner]
             new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
@@ -266,13 +276,13 @@ class _Growth:
             try:
                 added = add(model, new, self.measurements, stage=self.stage, given=self.given, own=self.own)
             except ModelError:
-                continue  # on the channels as the loop has them it is confounded with what the model has
+                continue  # on the loop's channels it is confounded with the model's effects
             if self._gains(added):
                 return _with_rivals(added, found, finding)
         return None
 
     def _gains(self, added: Added) -> bool:
-        """Whether an addition is worth its place: it predicts held-out runs, and cancels nothing that is there."""
+        """Whether an addition is worth it: it predicts held-out runs better and cancels no effect of the model."""
         return (
             not added.undetermined
             and added.after.held_out <= (1.0 - LITTLE) * added.before.held_out
@@ -280,25 +290,25 @@ class _Growth:
         )
 
     def _no_worse(self, added: Added) -> bool:
-        """Whether a model leaves no more of the readings than the start did, and than every step before it."""
+        """Whether the residual of a model is no larger than that of the start and of every earlier step."""
         return residual_size(added.model.effects, self.given.readings) <= (1.0 + WORTH) * self.best
 
 
 def _with_rivals(added: Added, found: Diagnosis, taken: Finding) -> Added:
-    """The same with what was passed over: in the notes and in the history."""
+    """The same with its rivals in the notes and in the history."""
     rivals = rivals_of(found, taken)
     if not rivals:
         return added
     entry = {**added.model.history[-1], "passed_over": [r.facts() for r in rivals]}
     model = replace(added.model, history=(*added.model.history[:-1], entry))
-    return replace(added, model=model, notes=(*said(taken, rivals), *added.notes), passed_over=rivals)
+    return replace(added, model=model, notes=(*rival_notes(taken, rivals), *added.notes), passed_over=rivals)
 
 
 def _inseparable(found: Diagnosis, machine: Machine) -> bool:
-    """Whether an axis went its way only once, and what is named may as well be something else.
+    """Whether an axis made only one pass, so that the named effect may be confounded with others.
 
     A single reversal does not show how reversals change. One number of geometry is added even if something else is as
-    likely: it is what every machine has, and the least that can be wrong.
+    likely: every machine has it, and a mistake about it does the least harm.
     """
     if not any(d.kind == "one_pass" for d in found.doubts):
         return False
@@ -310,9 +320,9 @@ def _inseparable(found: Diagnosis, machine: Machine) -> bool:
 
 
 def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:
-    """Why it ended where nothing was named.
+    """Why the search ended where nothing was named.
 
-    The floor alone is no reason to stop looking: a noise fitted while something is missing holds part of that.
+    The floor alone is no reason to stop: a noise fitted while an effect is missing contains part of that effect.
     """
     if last.verdict in ("unknown_effect", "undecided"):
         return last.verdict

@@ -1,7 +1,7 @@
-"""Looks through the whole range of an expression's own parameters before they are refined.
+"""Scans the whole range of an expression's own parameters before they are refined.
 
-A period fits in many places: least squares from one start stops at the nearest. So the range is gone through point by
-point, each by one linear least squares, and the best few are refined together with the start that was given.
+A period has many local minima: least squares from one start stops at the nearest. So the range is scanned point by
+point, each by one linear least squares, and the best few are refined together with the given start.
 """
 
 import math
@@ -27,34 +27,34 @@ EVEN, LOGARITHMIC = 400, 120
 MOST = 2000
 """Points of a range: even in 1/p at the least and at the most, and by equal factors."""
 PER_TURN = 4.0
-"""Points in 1/p for each turn more that a wave makes over the span of the readings."""
+"""Points in 1/p for each additional turn of a wave over the span of the readings."""
 KEPT = 6
-"""Places that are refined."""
+"""Number of points that are refined."""
 ALIKE = 1.01
-"""Root mean squares left that differ by less than this factor are the same."""
+"""Residuals (root mean square) within this factor are equal."""
 AS_MUCH = 0.9
-"""And they must take away this share of what the best does, so that small effects are told apart too."""
+"""And they must remove this share of what the best one removes, so that small effects are distinguished too."""
 SAME = 0.02
-"""Values that differ by less than this share are one."""
+"""Values within this relative difference are one."""
 EVALUATIONS = 30
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Values of the parameters and the sum of squares that they leave."""
+    """Values of the parameters and the sum of squared residuals."""
 
     theta: Theta
     left: float
 
 
 class _Search:
-    """One new effect beside a model that is fitted along, under hardly any drift: a slow wave is no drift."""
+    """One new effect fitted with the model under nearly no drift, so that drift does not absorb a slow wave."""
 
     def __init__(self, fitted: FittedEffect, before: Joint, readings: Readings) -> None:
         keep = looked_at(readings)
         self.readings = readings if keep.all() else readings.without(~keep)
         noise = before.whitener
-        self.whitener = without_drift(Whitener(self.readings, noise.noises, noise.wides, noise.least))
+        self.whitener = without_drift(Whitener(self.readings, noise.noises, noise.run_variances, noise.least))
         self.base = orthonormal(self.whitener(before.columns[keep]))
         self.target = self._apart(self.whitener(self.readings.values))
         self.fitted = fitted
@@ -72,22 +72,22 @@ class _Search:
         return np.asarray(self.target - white @ solve(white, self.target))
 
     def left(self, theta: Theta) -> float:
-        """Sum of squares left; infinite where the effect is not finite."""
+        """Sum of squared residuals; infinite where the effect is not finite."""
         residual = self.residual(theta)
         return math.inf if residual is None else float(residual @ residual)
 
 
-def ranged(fitted: FittedEffect, before: Joint, readings: Readings) -> tuple[FittedEffect, tuple[str, ...]]:
-    """Put the parameters of an expression where they fit best in all of their ranges.
+def scan_ranges(fitted: FittedEffect, before: Joint, readings: Readings) -> tuple[FittedEffect, tuple[str, ...]]:
+    """Put the parameters of an expression at the best fit within their whole ranges.
 
     Args:
-        fitted: new, with its start; anything but an expression with bounded parameters is given back as it is.
+        fitted: a new effect with its start; returned unchanged unless it is an expression with bounded parameters.
         before: the fit without it.
-        readings: what was measured.
+        readings: all readings of the fit.
 
     Returns:
-        The effect at the best place (of several that fit alike, at the one nearest to its start), and what is to be
-        told, in words: values far apart that fit alike.
+        The effect at the best place (of several equal fits, at the one nearest to its start), and notes in words:
+        distant values that fit equally well.
     """
     free = [p for p in fitted.effect.nonlinear(readings.machine) if np.isfinite([p.low, p.high]).all()]
     if fitted.effect.effect != "expression" or not free:
@@ -103,7 +103,7 @@ def ranged(fitted: FittedEffect, before: Joint, readings: Readings) -> tuple[Fit
 
 
 def _looked_through(search: _Search, free: Sequence[Parameter]) -> list[_Place]:
-    """The best few places, one parameter after the other, and the start."""
+    """The best few places, from a scan of one parameter after the other, and the start."""
     start = dict(search.fitted.theta)
     found = [_Place(start, search.left(start))]
     for p in free:
@@ -113,7 +113,7 @@ def _looked_through(search: _Search, free: Sequence[Parameter]) -> list[_Place]:
 
 
 def _valleys(search: _Search, at: Theta, p: Parameter) -> list[_Place]:
-    """Points of one range that leave less than their neighbours."""
+    """Local minima of the residual in one range."""
     grid = _grid(p, _span(search))
     left = np.array([search.left({**at, p.name: float(v)}) for v in grid])
     edge = np.concatenate([[math.inf], left, [math.inf]])
@@ -134,7 +134,7 @@ def _grid(p: Parameter, span: float) -> Floats:
 
 
 def _span(search: _Search) -> float:
-    """The longest way that a channel of the expression goes."""
+    """The longest span of the expression's channels, in their unit."""
     channels = search.fitted.effect.channels(search.readings.machine)
     ways = [float(np.ptp(v)) for c in channels if np.isfinite(v := search.readings.channel(c)).all()]
     return max(ways, default=0.0)
@@ -180,7 +180,7 @@ def _alike(places: Sequence[_Place], whole: float) -> list[_Place]:
 
 
 def _far(one: Mapping[str, float], other: Mapping[str, float], free: Sequence[Parameter]) -> float:
-    """How far apart two places are: the largest distance of a parameter, as a share of its size or of its range."""
+    """Distance between two places: the largest difference of a parameter, relative to its size or its range."""
     out = 0.0
     for p in free:
         a, b = one[p.name], other[p.name]
@@ -197,17 +197,17 @@ def _words(
     for p in free:
         values = sorted({float(f"{q.theta[p.name]:.4g}") for q in alike})
         if len(values) > 1:
-            told = f"{', '.join(f'{v:.4g}' for v in values[:-1])} and {values[-1]:.4g}"
+            listed = f"{', '.join(f'{v:.4g}' for v in values[:-1])} and {values[-1]:.4g}"
             why = ", for the targets are at equal steps" if _even(fitted, readings) else ""
             out.append(
-                f"these values of {p.name} fit alike within 1 %: {told}{why}; taken was "
+                f"these values of {p.name} fit alike within 1 %: {listed}{why}; taken was "
                 f"{chosen.theta[p.name]:.4g}, the nearest to the start; measure at unequal steps to separate them"
             )
     return tuple(out)
 
 
 def _even(fitted: FittedEffect, readings: Readings) -> bool:
-    """Whether the readings lie at equal steps of the axis that the expression follows."""
+    """Whether the readings are at equal steps of the expression's axis."""
     axes = {a.channel for a in readings.machine.axes} & set(fitted.effect.channels(readings.machine))
     for channel in axes:
         steps = np.diff(np.unique(np.round(readings.channel(channel), 3)))

@@ -1,9 +1,9 @@
 """Further temperatures of an effect that the model has.
 
-A body that no sensor is on lies between those that have one: it follows several temperatures, each with its own delay.
-The effect is known already. So a further temperature proves no cause: the readings must be likelier with it, and
-held-out runs must be predicted better. Only effects along an axis get one. A shift that is the same at all positions
-cannot be distinguished from a drift of the instrument, and two temperatures fit any slow drift.
+A body without a sensor is between bodies that have one: it follows several temperatures, each with its own delay. The
+effect is already known, so a further temperature proves no cause: it must make the readings likelier and predict
+held-out runs better. Only effects along an axis get one. A shift that is equal at all positions cannot be
+distinguished from a drift of the instrument, and two temperatures fit any slow drift.
 """
 
 import math
@@ -28,8 +28,8 @@ from rtec.model import FittedEffect, Model
 Floats = NDArray[np.float64]
 
 LIKELIER = math.log(50.0)
-"""Least gain in log likelihood. The best of some fifty further temperatures gained 3.3 at most in 24 records that
-depend on one temperature only."""
+"""Least gain in log likelihood. The best of some fifty further temperatures gained at most 3.3 in 24 records that
+depend on only one temperature."""
 
 VARIED_DEGC, TRIMMED = 1.0, (0.01, 0.99)
 """Change of a temperature, between these quantiles, below which it is no further one: on another day it may differ by
@@ -37,14 +37,14 @@ many times as much, and its number is known from this change only."""
 
 
 def further_temperature(judged: Judgement) -> FittedEffect | None:
-    """The temperature, by another sensor or with another delay, that predicts held-out runs best beside those there.
+    """The temperature, by another sensor or with another delay, that best predicts held-out runs beside the model's.
 
     Args:
         judged: the model, on its readings.
 
     Returns:
-        The effect once more, to be added; None where the model has no effect of a temperature along an axis, or where
-        the readings are not much likelier with a further one.
+        A further copy of the effect, to be added; None where the model has no effect of a temperature along an axis, or
+        where a further one does not make the readings much likelier.
     """
     keep = looked_at(judged.readings)
     few = judged.readings.without(~keep)
@@ -57,7 +57,7 @@ def further_temperature(judged: Judgement) -> FittedEffect | None:
     squares = [held_out(by, np.concatenate([base, c], axis=1)).folds.sum() for c in columns]
     best = int(np.argmin(squares))
     effect, theta = offered[best]
-    # A temperature that hardly changed, far from the reference, would take the place of the shape at none.
+    # A temperature that hardly changed, far from the reference, would act like a shape that follows no temperature.
     base = np.concatenate([base, few.at_constant(effect, theta, str(getattr(effect, "sensor", "")))], axis=1)
     if _likelier(noise, base, columns[best]) < LIKELIER:
         return None
@@ -67,7 +67,7 @@ def further_temperature(judged: Judgement) -> FittedEffect | None:
 def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping[str, float]]]:
     """Effects of a temperature along an axis, by every sensor and with every delay that the model lacks."""
     seen = {c.name: c for c in visible(readings)}
-    told: list[Effect] = []
+    offered: list[Effect] = []
     for fitted in model.effects:
         effect = fitted.effect
         along = isinstance(effect, AxisEffect) and getattr(effect, "sensor", None) is not None
@@ -78,22 +78,22 @@ def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping
                 continue
             for late in _delays(effect):
                 other = effect.model_copy(update={"sensor": sensor, **late})
-                if other in told:
+                if other in offered:
                     continue
-                told.append(other)
+                offered.append(other)
                 for theta in _values(other, readings):
                     if not is_there(model, FittedEffect(other, {}, theta)):
                         yield other, theta
 
 
 def _delays(effect: Effect) -> Sequence[Mapping[str, bool]]:
-    """At once and late, where an effect may be either."""
+    """Immediate and delayed, where an effect may be either."""
     kind = type(effect).model_fields.get("lag")
     return ({"lag": False}, {"lag": True}) if kind is not None and kind.annotation is bool else ({},)
 
 
 def _values(effect: Effect, readings: Readings) -> Sequence[Mapping[str, float]]:
-    """Delays that are tried; other parameters stay where they start."""
+    """Grid of delays; other parameters stay at their start."""
     free = within_record(effect, readings.measurements)
     start = {p.name: p.start for p in free}
     grids = [(p.name, v) for p in free for v in p.grid if p.unit == "s"]
@@ -101,7 +101,7 @@ def _values(effect: Effect, readings: Readings) -> Sequence[Mapping[str, float]]
 
 
 def _likelier(by: Whitener, base: Floats, columns: Floats) -> float:
-    """Logarithm of how much likelier the readings are with columns, (m, k), beside a base, (m, p)."""
+    """Gain in log likelihood by columns, (m, k), beside a base, (m, p)."""
     without, with_it = (
         max(fit_columns(w, c).log_likelihood for w in (by, without_drift(by)))
         for c in (base, np.concatenate([base, columns], axis=1))

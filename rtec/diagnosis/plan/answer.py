@@ -1,4 +1,4 @@
-"""The whole answer of `rtec plan`: what is told apart, what to add, what tells rivals apart, what no test would."""
+"""The whole answer of `rtec plan`: what is separated, what to add, what separates rivals, what cannot be."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,17 @@ import numpy as np
 
 from rtec.diagnosis.plan.ideas import extra_tests
 from rtec.diagnosis.plan.parameters import Planned, Stays, ball_bar_set, centres, planned
-from rtec.diagnosis.plan.plan import WEAK, Extra, Proposal, Separation, judge, propose, route, told, told_by
+from rtec.diagnosis.plan.plan import (
+    WEAK,
+    Extra,
+    Proposal,
+    Separation,
+    information_by_test,
+    judge,
+    propose,
+    route,
+    total_information,
+)
 from rtec.diagnosis.plan.separating import Separator, SimulatedRival, ranked
 from rtec.diagnosis.plan.tests import wanted_effects
 from rtec.errors import ConfigError
@@ -25,17 +35,17 @@ MOST_RIVALS = 6
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of the tests.
+    """A question about tests.
 
     Attributes:
         effects: as `rtec fit --effects`; None for those of the model, or the usual ones.
-        model: file of a model whose effects are asked about.
+        model: file of a model with the effects in question.
         ball_bar: the parameters of `rtec ballbar` instead; by default where all tests are ball bars and nothing else
-            is asked for.
-        rivals: effects that are to be told from each other, all else fitted along.
+            is in question.
+        rivals: effects to separate from each other, all others fitted along.
         stays: whether the table-side ball stays where it is from test to test.
         noise: white noise of a reading, µm or µrad.
-        suggest: look for tests to add.
+        suggest: also search tests to add.
     """
 
     effects: str | None = None
@@ -49,18 +59,18 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer(Result):
-    """What the tests can tell, and what to add.
+    """What the tests determine, and what to add.
 
     Attributes:
         tests: their names.
         separation: of the parameters by these tests.
         proposals: tests that would help, best first.
-        route: tests one after another until everything is told apart.
-        hopeless: sets that no usual test on this machine tells apart (of a ball bar's parameters: no circle of that
-            plane), and what none of them sees.
-        circles: whether that is said of circles alone.
-        separators: tests by how well they tell rivals apart.
-        noise: white noise that was supposed, µm or µrad.
+        route: tests one after another until everything is separated.
+        hopeless: sets that no usual test on this machine separates (of a ball bar's parameters: no circle of that
+            plane), and parameters that none of them sees.
+        circles: whether `hopeless` is about circles alone.
+        separators: tests by how well they separate rivals.
+        noise: assumed white noise, µm or µrad.
     """
 
     page_maker: ClassVar[str] = "rtec.report.plan:plan_page"
@@ -100,31 +110,31 @@ def _proposal(p: Proposal) -> dict[str, Any]:
 
 
 def answer(machine: Machine, tests: Sequence[Measurement], question: Question, stage: Stage | None = None) -> Answer:
-    """Say what tests can tell, and what to add.
+    """What tests determine, and what to add.
 
     Args:
-        machine: that is measured.
+        machine: of the tests.
         tests: measurements or planned ones (`plan_tests.load_test`).
-        question: what is asked of them.
-        stage: told how far it is.
+        question: about them.
+        stage: progress callback: called with the stage, steps done, steps in total.
 
     Raises:
-        ConfigError: nothing is left to ask about, or what is asked does not fit the tests.
+        ConfigError: there is nothing to ask about, or the question does not fit the tests.
         ModelError: an unknown effect, component or argument.
     """
-    tell = stage or (lambda *_: None)
+    progress = stage or (lambda *_: None)
     asked, beside, rivals = _asked(machine, tests, question)
     noise = {m.name: question.noise for m in tests}
     found = separation_of(asked, tests, noise, question.stays)
     names = tuple(m.name for m in tests)
     if not question.suggest or (found.complete and found.condition <= WEAK and not rivals and not beside):
         return Answer(names, found, noise=question.noise)
-    tell("looking for tests to add", 0, 1)
+    progress("looking for tests to add", 0, 1)
     extras = extra_tests(machine, tests)
     everything = planned([*asked, *beside], machine)
     here, more = (
-        told(everything, tests, noise, question.stays),
-        told_by(everything, extras, noise, question.stays),
+        total_information(everything, tests, noise, question.stays),
+        information_by_test(everything, extras, noise, question.stays),
     )
     return Answer(
         names,
@@ -147,14 +157,14 @@ def _on_a_circle(extra: Extra, tests: Sequence[Measurement]) -> bool:
 def separation_of(
     asked: Sequence[Planned], tests: Sequence[Measurement], noise: Mapping[str, float], stays: Stays
 ) -> Separation:
-    """What tests tell of parameters."""
-    return judge(asked, told(asked, tests, noise, stays))
+    """Separation of parameters by tests."""
+    return judge(asked, total_information(asked, tests, noise, stays))
 
 
 def _asked(
     machine: Machine, tests: Sequence[Measurement], question: Question
 ) -> tuple[tuple[Planned, ...], tuple[Planned, ...], list[tuple[str, ...]]]:
-    """Parameters; others that only matter for what can never be told; groups of rivals by name."""
+    """Parameters; others that only matter for what can never be separated; groups of rivals by name."""
     bars = [m for m in tests if isinstance(m.instrument, BallBar)]
     plain = question.effects is None and question.model is None and question.rivals is None
     if question.ball_bar is not None or (plain and len(bars) == len(tests)):
@@ -176,7 +186,7 @@ def _asked(
 
 
 def plain_base(question: Question) -> bool:
-    """Whether nothing but rivals is asked about."""
+    """Whether the question is only about rivals."""
     return question.effects is None and question.model is None
 
 
@@ -193,7 +203,7 @@ def _check_bars(bars: Sequence[Measurement], question: Question) -> None:
 def _hopeless(
     parameters: Sequence[Planned], whole: "np.ndarray[Any, Any]", beside: Sequence[Planned]
 ) -> tuple[tuple[str, ...], ...]:
-    """What stays together or unseen with every test that the machine can take."""
+    """Sets that stay confounded, or unseen, with every test that the machine can take."""
     last = judge(parameters, np.asarray(whole))
     extra = {p.name for p in beside}
     unseen = tuple((name,) for name in last.never if name not in extra)
@@ -210,7 +220,7 @@ def _separators(
     more: Sequence[tuple[Extra, "np.ndarray[Any, Any]"]],
     groups: Sequence[tuple[str, ...]],
 ) -> list[Separator]:
-    """Tests by how well they tell the rivals of a group apart, all other parameters fitted along."""
+    """Tests by how well they separate the rivals of a group, all other parameters fitted along."""
     if not groups:
         return []
     rivals = list(_rivals(parameters, groups[0]))
@@ -220,7 +230,7 @@ def _separators(
 
 
 def _rivals(parameters: Sequence[Planned], names: Sequence[str]) -> list[SimulatedRival]:
-    """One for each effect, at its usual size; a parameter of a ball bar is one by itself."""
+    """One rival for each effect, at its usual size; a parameter of a ball bar is one by itself."""
     groups: dict[str, list[int]] = {}
     for i, p in enumerate(parameters):
         if p.name in names:

@@ -1,4 +1,4 @@
-"""Tests that might be added: what a machine can take with the usual instruments, and how long each takes."""
+"""Tests that might be added: those possible with the usual instruments, and their duration."""
 
 import dataclasses
 import itertools
@@ -21,18 +21,18 @@ SET_UP_H = {
     "laser_linear": 0.5, "laser_angular": 0.5, "straightness": 0.5, "squareness": 0.5, "level": 0.25,
     "ball_bar": 0.15, "grid_encoder": 0.75, "tool_tip": 0.25, "spindle_drift": 0.5,
 }  # fmt: skip
-"""Setting an instrument up and aligning it, hours: usual figures, for ranking only."""
+"""Hours to set up and align an instrument: usual figures, for ranking only."""
 AGAIN_H = 0.02
-"""The same set-up once more with another programme."""
+"""Hours for the same set-up once more with another programme."""
 RAISE_H = 0.1
-"""A ball bar with its table-side ball raised or lowered."""
+"""Hours for a ball bar with its table-side ball raised or lowered."""
 BARS_MM = (50.0, 100.0, 150.0)
 RAISED = 0.2
 """Height of a raised ball, as a share of the bar's length: 30 mm for a bar of 150 mm, as in [BB Table 2]."""
 PLANES = ("XY", "YZ", "XZ")
 PLATE_MM = 160.0
 PLACES = (0.5, 0.15, 0.85)
-"""Where a plate is laid, as shares of each travel: the middle, then towards the ends."""
+"""Places of a plate, as shares of each travel: the middle, then towards the ends."""
 COLD = {"protocol": "cold"}
 
 
@@ -50,11 +50,11 @@ class Idea:
 
 
 def extra_tests(machine: Machine, given: Sequence[Measurement] = ()) -> list[Extra]:
-    """Tests that can be made on a machine with the usual instruments; those that do not fit it are left out.
+    """Tests that fit a machine, with the usual instruments.
 
     Args:
-        machine: that is measured.
-        given: tests that there are already: another circle about the same ball is proposed before one elsewhere.
+        machine: of the tests.
+        given: existing tests: another circle about the same ball is proposed before one elsewhere.
     """
     ideas = itertools.chain(
         (i for axis in machine.axes for i in _along(axis, machine)),
@@ -94,7 +94,7 @@ def _along(axis: Axis, machine: Machine) -> Iterator[Idea]:
         if not roll:
             what = {"A": "about X", "B": "about Y", "C": "about Z"}[letter]
             yield Idea(f"angular laser along {name}, {what}, cold", "laser_angular", {}, name, component, cold)
-        elif axis.direction != "Z":  # no level sees a turn about the vertical
+        elif axis.direction != "Z":  # a level does not see a rotation about the vertical
             yield Idea(f"level along {name}, roll, cold", "level", {}, name, component, cold)
     for letter in "XYZ":
         if letter != axis.direction:
@@ -111,7 +111,7 @@ TURN_DEG = 360.0
 
 
 def _circles(machine: Machine, given: Sequence[Measurement]) -> Iterator[Idea]:
-    """Circles about a ball that is there already: the other sense, another height, another feed; else a new one."""
+    """Circles about an existing ball: the other sense, another height, another feed; else a new one."""
     bars = [m.instrument.setup for m in given if isinstance(m.instrument, BallBar)]
     for setup in bars:
         yield from _again(setup, bars)
@@ -135,9 +135,9 @@ def _again(setup: BallBarSetup, bars: Sequence[BallBarSetup]) -> Iterator[Idea]:
 
 
 def _changed(setup: BallBarSetup, height_mm: float, radius_mm: float, direction: str) -> BallBarSetup:
-    """The same arc at another height or in the other sense, then begun at its other end.
+    """The same arc at another height or in the other sense, then from its other end.
 
-    It has the same angular speed: a lag of an axis is then the same angle at both heights.
+    Its angular speed is the same: a lag of an axis is then the same angle at both heights.
     """
     end = setup.start_deg + setup.sense * setup.arc_deg
     changes = {

@@ -1,4 +1,4 @@
-"""What a set of tests is to find: coefficients of effects, a ball bar's own parameters, and where its ball stands."""
+"""Parameters that tests are to determine: coefficients of effects, a ball bar's parameters, its ball's place."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from rtec.metrology.measurement import Measurement
 
 Stays = Literal["shared", "each"]
 Place = tuple[str, ...]
-"""Plane and where in it a table-side ball stands."""
+"""Plane of a table-side ball and its place in it."""
 USUAL = {"um": 5.0, "um_per_m": 20.0, "urad": 20.0, "per_km": 0.1, "urad_per_m": 50.0}
 """Usual sizes of a ball bar's parameters, by unit."""
 USUAL_CENTRE_UM = 10.0
@@ -23,7 +23,7 @@ ROUND_MM = 0.01
 
 @dataclass(frozen=True)
 class Part:
-    """So many times one coefficient of an effect."""
+    """A multiple of one coefficient of an effect."""
 
     effect: Effect
     coefficient: int = 0
@@ -35,7 +35,7 @@ class Ball:
     """A table-side ball whose place is unknown in one direction of the plane.
 
     Attributes:
-        place: which ball.
+        place: of the ball.
         direction: 0 or 1: the plane's first or second letter.
     """
 
@@ -53,14 +53,14 @@ class OfBallBar:
 
 @dataclass(frozen=True)
 class Planned:
-    """A parameter that the tests are to find.
+    """A parameter that the tests are to determine.
 
     Attributes:
         name: for people.
         unit: of it.
-        typical: a usual size.
-        parts: what one unit of it is, as effects.
-        ball: where it is the place of a table-side ball.
+        typical: its usual size.
+        parts: effects of one unit of it.
+        ball: for the place of a table-side ball.
         bar: where a ball bar in its plane has a column of its own for it.
     """
 
@@ -80,15 +80,15 @@ def label(effect: Effect) -> str:
 
 
 def hours_in_words(hours: float) -> str:
-    """A time as people say it."""
+    """A duration in words."""
     return f"{60 * hours:.0f} min" if hours < 1.5 else f"{hours:.1f} h"
 
 
 def planned(asked: Sequence[Effect | Planned], machine: Machine) -> tuple[Planned, ...]:
-    """Parameters that were asked for; an effect stands for each of its coefficients.
+    """Parameters in question; an effect represents each of its coefficients.
 
     Raises:
-        ModelError: one of them stands twice.
+        ModelError: one of them is given twice.
     """
     out = [p for a in asked for p in ([a] if isinstance(a, Planned) else _of_effect(a, machine))]
     names = [p.name for p in out]
@@ -106,7 +106,7 @@ def _of_effect(effect: Effect, machine: Machine) -> Iterator[Planned]:
 
 
 def ball_place(measurement: Measurement, stays: Stays) -> Place | None:
-    """Which table-side ball a measurement has, where its place is unknown; None where it has none or knows it.
+    """The table-side ball of a measurement, where its place is unknown; None where it has none or its place is known.
 
     Args:
         measurement: any.
@@ -122,7 +122,7 @@ def ball_place(measurement: Measurement, stays: Stays) -> Place | None:
 
 
 def centres(measurements: Sequence[Measurement], stays: Stays = "shared") -> tuple[Planned, ...]:
-    """Where the table-side ball of each ball bar stands off the centre, in both directions of the plane."""
+    """Deviation of the table-side ball of each ball bar from the centre, in both directions of the plane."""
     out: dict[tuple[Place, int], Planned] = {}
     for m in measurements:
         place = ball_place(m, stays)
@@ -131,7 +131,7 @@ def centres(measurements: Sequence[Measurement], stays: Stays = "shared") -> tup
                 where = f", {m.name}" if stays == "each" else _where(m.instrument.setup)
                 name = f"centre offset {letter}{where}"
                 out.setdefault((place, i), Planned(name, "um", USUAL_CENTRE_UM, (), Ball(place, i)))
-    # Where there is one ball its place need not be said.
+    # A single ball needs no place in its name.
     several = stays == "each" or len({place for place, _ in out}) > 1
     return tuple(p if several else replace(p, name=p.name.partition(",")[0]) for p in out.values())
 
@@ -144,7 +144,7 @@ def _where(setup: BallBarSetup) -> str:
 def ball_bar_set(
     measurements: Sequence[Measurement], *, bent: bool, stays: Stays = "shared", rolls: bool = False
 ) -> tuple[Planned, ...]:
-    """The parameters of `rtec ballbar`: 10 of the linear model or 15 of the other one, [BB §3].
+    """The parameters of `rtec ballbar`: 10 of the linear model or 15 of the non-linear one, [BB §3].
 
     Args:
         measurements: ball-bar tests of one plane.
@@ -175,7 +175,7 @@ def _roll(origin: CircleTest) -> Iterator[Cause]:
 
 
 def _parts(cause: Cause, origin: CircleTest) -> Iterator[Part]:
-    """The same parameter as an effect, for other instruments."""
+    """The same parameter as effects, for other instruments."""
     kind, setup, own = cause.name.split("_")[0], origin.setup, cause.component[2:]
     machine = origin.machine
     if kind == "scale":

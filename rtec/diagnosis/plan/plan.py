@@ -1,13 +1,13 @@
 """Which parameters a set of tests separates, which stay confounded, and what test to add.
 
 Every reading is linear in the parameters, so the question is one of linear algebra: the columns of all parameters in
-all tests, whitened and scaled, with what the instruments cannot know taken out. Its rank is the number of
-combinations that can be found; directions that it does not see are the sets that stay confounded.
+all tests, whitened and scaled, with the unknowns of the instruments projected out. Its rank is the number of
+combinations that are determined; its null directions are the sets that stay confounded.
 
-What each parameter adds to the readings of a test, and what that test tells of them all.
+The module also computes the columns of each parameter in a test, and the test's information about all of them.
 
-A test's information is one small matrix, `Cᵀ C` of its columns over the noise with what the instrument cannot know
-taken out; that of several tests is the sum. So a test that might be added costs one matrix, however many there are.
+A test's information is one small matrix, `Cᵀ C` of its columns over the noise with the unknowns of the instrument
+projected out; that of several tests is the sum. So a possible test costs one matrix, however many there are.
 """
 
 import dataclasses
@@ -31,16 +31,16 @@ from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
 USUAL_NOISE = 0.5
-"""White noise of a reading where nobody says, µm or µrad."""
+"""White noise of a reading by default, µm or µrad."""
 
 
 def information(
     parameters: Sequence[Planned], measurement: Measurement, noise: float = USUAL_NOISE, stays: Stays = "shared"
 ) -> Floats:
-    """What one test tells of the parameters, (parameters, parameters).
+    """Information of one test about the parameters, (parameters, parameters).
 
     Args:
-        parameters: asked for.
+        parameters: in question.
         measurement: poses and channels; readings may be anything.
         noise: white noise of its readings, µm or µrad.
         stays: which ball-bar tests share a table-side ball.
@@ -58,10 +58,10 @@ def information(
 
 
 def beside_prior(own: Floats, columns: Floats) -> Floats:
-    """White columns beside one more unknown that is known to one unit before: most of their part along it goes.
+    """White columns beside one more unknown with a prior of one unit: most of their part along it is removed.
 
     Args:
-        own: what one standard uncertainty of the unknown makes, white, (n,).
+        own: white column of one standard uncertainty of the unknown, (n,).
         columns: (n, p).
     """
     power = float(own @ own)
@@ -81,7 +81,7 @@ def effect_columns(effect: Effect, readings: Readings, theta: dict[str, float] |
 
 
 def clean(columns: Floats, readings: Readings) -> Floats:
-    """Columns with what each run and each set-up cannot know taken out, (m, p)."""
+    """Columns with the unknowns of each run and each set-up projected out, (m, p)."""
     whole = np.concatenate([readings.setup, columns], axis=1)
     flat = np.stack([without_nuisance(readings, c) for c in whole.T], axis=1)
     count = readings.setup.shape[1]
@@ -91,7 +91,7 @@ def clean(columns: Floats, readings: Readings) -> Floats:
 
 
 def without(nuisance: Floats, columns: Floats) -> Floats:
-    """Columns less their part along nuisances; of nuisances that are copies of others nothing is left."""
+    """Columns less their part along nuisances; zero for copies of them."""
     basis, size, _ = np.linalg.svd(nuisance, full_matrices=False)
     q = basis[:, size > 1e-9 * max(float(size[0]), 1e-300)]
     return np.asarray(columns - q @ (q.T @ columns))
@@ -106,7 +106,7 @@ def _reads_itself(parameter: Planned, measurement: Measurement) -> bool:
 
 
 def _on_circle(parameters: Sequence[Planned], circle: CircleTest, place: Place | None) -> Floats:
-    """Columns of a ball-bar test over its measured arc, as `rtec ballbar` has them, then that of its ball's height."""
+    """Columns of a ball-bar test over its measured arc, as in `rtec ballbar`, then that of its ball's height."""
     strange = next((p.name for p in parameters if p.bar is None and p.ball is None), None)
     if strange is not None:
         raise ModelError(f"plan: {strange} cannot be asked for together with a ball bar's own parameters")
@@ -120,7 +120,7 @@ def _on_circle(parameters: Sequence[Planned], circle: CircleTest, place: Place |
 
 
 def _zeros(circle: CircleTest) -> Floats:
-    """Unknown length of a bar that was not calibrated, once or in every run."""
+    """Unknown length of an uncalibrated bar, once or in every run."""
     n = len(circle)
     if circle.setup.zero == "setup":
         return np.ones((n, 1))
@@ -143,7 +143,7 @@ def _column(parameter: Planned, readings: Readings, place: Place | None) -> Floa
 
 
 def _height_of(readings: Readings) -> Floats:
-    """What the height of a table-side ball makes of readings, for one standard uncertainty of it, µm, (m,)."""
+    """Change of readings by one standard uncertainty of a table-side ball's height, µm, (m,)."""
     instrument, row = readings.measurements[0].instrument, readings.series[0].row
     if not isinstance(instrument, BallBar):
         return np.zeros(len(readings))
@@ -156,14 +156,14 @@ def _height(setup: BallBarSetup, bar_mm: Floats) -> Floats:
 
 
 def _ball_column(ball: Ball, setup: BallBarSetup, bar_mm: Floats, place: Place | None) -> Floats:
-    """A ball that stands one µm off shortens the bar by its share of it."""
+    """A ball that is one µm off shortens the bar by its share of it."""
     if ball.place != place:
         return np.zeros(len(bar_mm))
     return np.asarray(-bar_mm[:, setup.rows[ball.direction]] / np.linalg.norm(bar_mm, axis=1))
 
 
 def _with_known_centre(measurement: Measurement) -> Measurement:
-    """The same with the centre no nuisance of its own: it is a parameter of all tests with that ball."""
+    """The same without the centre as a nuisance: it is a parameter of all tests with that ball."""
     instrument = measurement.instrument
     if not isinstance(instrument, BallBar):
         return measurement
@@ -172,30 +172,30 @@ def _with_known_centre(measurement: Measurement) -> Measurement:
 
 
 UNSEEN = 1e-6
-"""A parameter whose whitened column is smaller than this, for its usual size, is not seen."""
+"""A parameter is not seen where its whitened column is smaller than this, for its usual size."""
 ALIKE = 1e-4
 """A direction of the scaled columns with a singular value below this share of the largest is not separated."""
 IN_IT = 0.1
-"""Share of the largest in such a direction from which on a parameter belongs to the set."""
+"""From this share of the largest in such a direction on, a parameter belongs to the set."""
 WEAK = 30.0
-"""A condition number from which on parameters are separated on paper only."""
+"""From this condition number on, parameters are separated only in theory."""
 SURE = 3.0
-"""So many standard errors make a size detectable."""
+"""Standard errors that make a size detectable."""
 MOST_STEPS = 4
-"""Tests that are proposed one after another, at most."""
+"""Most tests that are proposed one after another."""
 
 
 @dataclass(frozen=True)
 class Separation:
-    """What a set of tests can tell.
+    """What a set of tests determines.
 
     Attributes:
-        parameters: that were asked for.
-        rank: combinations that can be found.
+        parameters: in question.
+        rank: number of combinations that are determined.
         never: parameters that no reading sees.
-        confounded: sets of parameters of which only combinations can be found.
+        confounded: sets of parameters of which only combinations are determined.
         condition: of the scaled columns of those that are seen and separated.
-        detectable: smallest size of each parameter that is found with three standard errors, in its unit; infinite
+        detectable: smallest detectable size of each parameter, three standard errors, in its unit; infinite
             for those never seen or confounded.
     """
 
@@ -208,12 +208,12 @@ class Separation:
 
     @property
     def complete(self) -> bool:
-        """Whether every parameter can be found."""
+        """Whether every parameter is determined."""
         return self.rank == len(self.parameters)
 
     @property
     def found(self) -> set[str]:
-        """Parameters that can be found each by itself."""
+        """Parameters that are determined each by itself."""
         return {name for name, size in self.detectable.items() if math.isfinite(size)}
 
     def facts(self) -> dict[str, Any]:
@@ -231,12 +231,12 @@ class Separation:
 
 @dataclass(frozen=True)
 class Extra:
-    """A test that might be added.
+    """A possible additional test.
 
     Attributes:
-        name: what is done, for people.
+        name: what the user does, in words.
         measurement: its poses and channels; the readings do not matter.
-        hours: how long it takes, setting up and all.
+        hours: its duration, including setting up.
     """
 
     name: str
@@ -245,11 +245,11 @@ class Extra:
 
     @property
     def setup(self) -> dict[str, Any]:
-        """Keys of `[setup]` that are not as usual: where a circle's centre is, its radius, its feed."""
+        """Keys of `[setup]` with unusual values: where a circle's centre is, its radius, its feed."""
         return self.measurement.instrument.setup.model_dump(mode="json", exclude_defaults=True)
 
     def facts(self) -> dict[str, Any]:
-        """What it takes to make it, as plain data."""
+        """What the test needs, as plain data."""
         instrument = self.measurement.instrument
         return {
             "test": self.name, "hours": self.hours, "instrument": instrument.name, "axis": instrument.axis,
@@ -259,12 +259,12 @@ class Extra:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What a test would add.
+    """What an additional test would bring.
 
     Attributes:
-        test: which.
-        after: what could be told with it.
-        gained: parameters found with it and not without.
+        test: the additional test.
+        after: separation with it.
+        gained: parameters that are determined only with it.
     """
 
     test: Extra
@@ -281,28 +281,28 @@ def separation(
     noise: Mapping[str, float] | None = None,
     stays: Stays = "shared",
 ) -> Separation:
-    """Say what a set of tests can tell.
+    """What a set of tests determines.
 
     Args:
-        asked: effects whose coefficients are to be found (non-linear ones are taken at their start), or parameters.
+        asked: effects whose coefficients are in question (non-linear parameters at their start), or parameters.
         measurements: poses and channels of the tests; readings may be anything.
         noise: white noise of a measurement by name, in the unit of its readings; 0.5 where not given.
         stays: which ball-bar tests share a table-side ball.
     """
     parameters = planned(asked, measurements[0].machine)
-    return judge(parameters, told(parameters, measurements, noise or {}, stays))
+    return judge(parameters, total_information(parameters, measurements, noise or {}, stays))
 
 
-def told(
+def total_information(
     parameters: Sequence[Planned], measurements: Sequence[Measurement], noise: Mapping[str, float], stays: Stays
 ) -> Floats:
-    """What several tests tell together, (parameters, parameters)."""
+    """Information of several tests together, (parameters, parameters)."""
     parts = [information(parameters, m, noise.get(m.name, USUAL_NOISE), stays) for m in measurements]
     return np.asarray(np.sum(parts, axis=0))
 
 
 def judge(parameters: Sequence[Planned], whole: Floats) -> Separation:
-    """Rank, what is never seen, what is confounded, smallest sizes; from what the tests tell together."""
+    """Rank, unseen and confounded parameters, smallest sizes; from the information of all tests."""
     typical = np.array([p.typical for p in parameters])
     size = np.sqrt(np.maximum(np.diag(whole), 0.0))
     seen = size * typical > UNSEEN
@@ -332,10 +332,10 @@ def propose(
     noise: Mapping[str, float] | None = None,
     stays: Stays = "shared",
 ) -> list[Proposal]:
-    """Rank tests that might be added: by what they would separate, then by time, then by condition number."""
+    """Rank additional tests: by what they would separate, then by duration, then by condition number."""
     parameters = planned(asked, measurements[0].machine)
-    here = told(parameters, measurements, noise or {}, stays)
-    return _ranked(parameters, here, told_by(parameters, extras, noise or {}, stays))
+    here = total_information(parameters, measurements, noise or {}, stays)
+    return _ranked(parameters, here, information_by_test(parameters, extras, noise or {}, stays))
 
 
 def route(
@@ -345,10 +345,10 @@ def route(
     noise: Mapping[str, float] | None = None,
     stays: Stays = "shared",
 ) -> list[Proposal]:
-    """Tests one after another, the cheapest of the best each time, until everything is told apart or nothing helps."""
+    """Tests one after another, each the cheapest of the best, until everything is separated or nothing helps."""
     parameters = planned(asked, measurements[0].machine)
-    here = told(parameters, measurements, noise or {}, stays)
-    left = told_by(parameters, extras, noise or {}, stays)
+    here = total_information(parameters, measurements, noise or {}, stays)
+    left = information_by_test(parameters, extras, noise or {}, stays)
     out: list[Proposal] = []
     while len(out) < MOST_STEPS and not judge(parameters, here).complete:
         ranked = [p for p in _ranked(parameters, here, left) if p.after.rank > judge(parameters, here).rank]
@@ -359,10 +359,10 @@ def route(
     return out
 
 
-def told_by(
+def information_by_test(
     parameters: Sequence[Planned], extras: Sequence[Extra], noise: Mapping[str, float], stays: Stays
 ) -> list[tuple[Extra, Floats]]:
-    """What each test that might be added tells; its noise is that of the others."""
+    """Information of each additional test; its noise is that of the others."""
     usual = float(np.median(list(noise.values()))) if noise else USUAL_NOISE
     return [(e, information(parameters, e.measurement, noise.get(e.name, usual), stays)) for e in extras]
 

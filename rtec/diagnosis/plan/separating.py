@@ -1,11 +1,11 @@
-"""Which experiment tells rival effects apart: how much of one is left when the other is fitted to it.
+"""Which experiment separates rival effects: the residual of one when the other is fitted to it.
 
-Two effects that explain the same readings equally well are told apart by a test in which they say different things. If
-the one is true, the other, fitted as well as it can be to what both the old readings and the new test would show,
-leaves a misfit `d`; half of `dᵀ Σ⁻¹ d` is the expected logarithm of the odds that the test gives. The smaller of the
-two ways round counts. The current model, and what instruments cannot know, are fitted along.
+Two effects that explain the same readings equally well are separated by a test for which their predictions differ. If
+one is true, the other has a misfit `d` after its best fit to both the old readings and the new test; half of `dᵀ Σ⁻¹ d`
+is the expected logarithm of the odds that the test gives. The smaller of both directions counts. The current model, and
+the unknowns of the instruments, are fitted along.
 
-What it takes to tell a finding from what it is confused with: the best test that the machine can take.
+The module also names, for a finding and its rivals, the best separating test that the machine can take.
 """
 
 import itertools
@@ -32,20 +32,20 @@ from rtec.model import FittedEffect, Model
 Floats = NDArray[np.float64]
 
 CLEAR = math.log(20.0)
-"""Expected odds, as a logarithm, from which on a test separates two effects."""
+"""From these expected log odds on, a test separates two effects."""
 INDEPENDENT = 100.0
-"""A test tells at most as much as so many readings: those close together share the drift of instrument and machine, so
-that what is far below the noise of one reading settles nothing, however many there are."""
+"""A test has at most the information of this many readings: those close together share the drift of instrument and
+machine, so that many readings do not resolve what is far below the noise of one."""
 TINY = 1e-11
-"""Directions below this share of the largest are not seen at all."""
+"""Directions below this share of the largest are not seen."""
 
 
 @dataclass(frozen=True)
 class SimulatedRival:
-    """One of several explanations, as columns.
+    """A rival effect, as columns.
 
     Attributes:
-        name: for people.
+        name: in words.
         columns: places of its columns: coefficients first, then slopes by its non-linear parameters.
         values: sizes of the coefficients.
     """
@@ -62,7 +62,7 @@ class Pair:
     Attributes:
         one, other: names.
         gain: with the test.
-        before: of the measurements that there are.
+        before: of the existing measurements.
     """
 
     one: str
@@ -78,11 +78,11 @@ class Pair:
 
 @dataclass(frozen=True)
 class Separator:
-    """What a test would tell apart.
+    """What a test would separate.
 
     Attributes:
-        test: which.
-        pairs: every two of the rivals.
+        test: the test.
+        pairs: all pairs of the rivals.
     """
 
     test: Extra
@@ -90,7 +90,7 @@ class Separator:
 
     @property
     def clear(self) -> int:
-        """Pairs that it separates."""
+        """Number of pairs that it separates."""
         return sum(p.clear for p in self.pairs)
 
     @property
@@ -108,15 +108,15 @@ def separating(
     noise: float = USUAL_NOISE,
     whitener: Whitener | None = None,
 ) -> list[Separator]:
-    """Rank tests by how well they would tell rival effects apart: most pairs first, then the quickest.
+    """Rank tests by how well they would separate rival effects: most pairs first, then the quickest.
 
     Args:
         model: the current model, without the rivals; its numbers are fitted along.
-        rivals: two or more effects with the size that each would have (`fitted_to` finds it from readings).
-        measurements: those that cannot tell the rivals apart; may be none.
-        extras: tests that might be added; by default those that the machine can take.
-        noise: white noise of a reading in the tests that might be added, µm or µrad.
-        whitener: noise of the measurements as the diagnosis found it; by default white noise of that size.
+        rivals: two or more effects, each with its size (`fitted_to` estimates it from readings).
+        measurements: those that cannot separate the rivals; may be none.
+        extras: additional tests; by default those that the machine can take.
+        noise: white noise of a reading in the additional tests, µm or µrad.
+        whitener: noise of the measurements as the diagnosis estimated it; by default white noise of that size.
     """
     machine = model.machine
     tests = extra_tests(machine, measurements) if extras is None else extras
@@ -125,24 +125,24 @@ def separating(
     else:
         here = np.zeros(2 * (_width((*model.effects, *rivals), machine),))
         here += sum(_of_test(model, rivals, m, noise) for m in measurements)
-    told = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
+    informed = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
     edges = np.cumsum([_width(model.effects, machine), *(_width([f], machine) for f in rivals)])
     split = [
         SimulatedRival(label(f.effect), np.arange(first, last), _values(f, machine))
         for f, first, last in zip(rivals, edges[:-1], edges[1:], strict=True)
     ]
-    return ranked(here, told, np.arange(edges[0]), split)
+    return ranked(here, informed, np.arange(edges[0]), split)
 
 
 def ranked(
     here: Floats, tests: Sequence[tuple[Extra, Floats]], base: NDArray[np.int64], rivals: Sequence[SimulatedRival]
 ) -> list[Separator]:
-    """Rank tests by how well they would tell rivals apart, from what each tells, (p, p).
+    """Rank tests by how well they would separate rivals, from the information of each, (p, p).
 
     Args:
-        here: what is told already.
-        tests: those that might be added, and what each tells.
-        base: places of what is fitted along in any case.
+        here: information of the existing measurements.
+        tests: additional ones with their information.
+        base: places of the columns that are always fitted along.
         rivals: two or more.
     """
     before = _gains(here, base, rivals)
@@ -151,12 +151,12 @@ def ranked(
 
 
 def fitted_to(whitener: Whitener, base: Floats, effect: Effect, theta: Mapping[str, float]) -> FittedEffect:
-    """An effect with the size that it has when it is fitted to readings along with the current model.
+    """An effect with its size, from a fit to the readings together with the current model.
 
     Args:
         whitener: readings and their noise.
         base: columns of the current model, (m, p).
-        effect: whose size is wanted.
+        effect: its size is estimated.
         theta: its non-linear parameters.
     """
     columns = whitener.readings.columns(effect, theta)
@@ -166,19 +166,19 @@ def fitted_to(whitener: Whitener, base: Floats, effect: Effect, theta: Mapping[s
 
 
 def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[SimulatedRival]) -> Floats:
-    """Half the squared misfit that rival j leaves of rival i, (rivals, rivals)."""
+    """Half the squared misfit of rival j fitted to rival i, (rivals, rivals)."""
     out = np.zeros((len(rivals), len(rivals)))
     for i, one in enumerate(rivals):
-        said = one.columns[: len(one.values)]
+        own = one.columns[: len(one.values)]
         for j, other in enumerate(rivals):
             if i != j:
                 rest = np.concatenate([base, other.columns]).astype(np.int64)
-                out[i, j] = 0.5 * _left(whole, said, one.values, rest)
+                out[i, j] = 0.5 * _misfit(whole, own, one.values, rest)
     return out
 
 
 def _pairs(rivals: Sequence[SimulatedRival], before: Floats, after: Floats) -> tuple[Pair, ...]:
-    """Every two rivals, the smaller of the two ways round."""
+    """All pairs of rivals, with the smaller gain of both directions."""
     before, after = np.minimum(before, before.T), np.minimum(after, after.T)
     return tuple(
         Pair(rivals[i].name, rivals[j].name, float(after[i, j]), float(before[i, j]))
@@ -186,16 +186,16 @@ def _pairs(rivals: Sequence[SimulatedRival], before: Floats, after: Floats) -> t
     )
 
 
-def _left(whole: Floats, said: NDArray[np.int64], values: Floats, rest: NDArray[np.int64]) -> float:
-    """Sum of squares of `columns[said] · values` that the columns `rest` cannot follow."""
+def _misfit(whole: Floats, own: NDArray[np.int64], values: Floats, rest: NDArray[np.int64]) -> float:
+    """Sum of squares of `columns[own] · values` that the columns `rest` cannot explain."""
     size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     scaled = whole / np.outer(size, size)
-    weights = values * size[said]
+    weights = values * size[own]
     inner = scaled[np.ix_(rest, rest)]
-    cross = scaled[np.ix_(rest, said)] @ weights
-    total = float(weights @ scaled[np.ix_(said, said)] @ weights)
+    cross = scaled[np.ix_(rest, own)] @ weights
+    total = float(weights @ scaled[np.ix_(own, own)] @ weights)
     taken = float(cross @ np.linalg.pinv(inner, rcond=TINY, hermitian=True) @ cross) if len(rest) else 0.0
-    # Below what the rounding of so large a sum leaves there is nothing to see.
+    # Smaller values are rounding of this large sum.
     return max(total - taken, 0.0) if total - taken > 1e-9 * total else 0.0
 
 
@@ -224,15 +224,15 @@ def _slope(fitted: FittedEffect, readings: Readings, name: str) -> Floats:
 
 
 def _of_test(model: Model, rivals: Sequence[FittedEffect], measurement: Measurement, noise: float) -> Floats:
-    """What one test tells."""
-    # Temperatures smoothed: a machine does not follow the noise of a sensor, which else would tell two sensors apart.
+    """Information of one test."""
+    # Temperatures smoothed: a machine does not follow a sensor's noise, which would otherwise separate two sensors.
     readings = read([measurement], model.reference_degc)
     columns = clean(_columns(model, rivals, readings), readings) / noise
     return np.asarray(columns.T @ columns * min(1.0, INDEPENDENT / len(columns)))
 
 
 def _information(columns: Floats, whitener: Whitener) -> Floats:
-    """What measurements tell under their own noise; what a whole set-up shares is taken out."""
+    """Information of measurements under their own noise, with the unknowns of the set-up projected out."""
     setup = whitener.readings.setup
     count = setup.shape[1]
     white = whitener(np.concatenate([setup, columns], axis=1))
@@ -250,16 +250,16 @@ def with_gains(
     whitener: Whitener,
     extras: Sequence[Extra] | None = None,
 ) -> tuple[Alike, ...]:
-    """Name for each confusion the quickest test that settles it, with the expected log Bayes factor that it adds.
+    """Name for each confounded effect the quickest separating test, with its expected additional log Bayes factor.
 
-    Where no test settles it (20 to 1), the one that comes nearest is named, and that it does not suffice.
+    Where no test separates it (20 to 1), the nearest one is named, and that it does not suffice.
 
     Args:
-        alikes: confusions with the effects that they are about, fitted (`separating.fitted_to`).
-        winner: what they are confused with.
+        alikes: confounded effects, fitted (`separating.fitted_to`).
+        winner: the effect that they are confounded with.
         model: the current model.
         whitener: readings and noise of the diagnosis.
-        extras: tests that might be made; by default those that the machine can take.
+        extras: possible tests; by default those that the machine can take.
     """
     if not alikes:
         return ()
@@ -271,7 +271,7 @@ def with_gains(
     out = []
     for place, (alike, _) in enumerate(alikes):
         # Pairs are in the order of the combinations: those of the winner come first.
-        # What the readings say already is in both: only what a test adds can settle what they leave open.
+        # The information of the existing readings is in both: only what a test adds can separate them.
         best = min(found, key=lambda s: _worth(s.test, _added(s.pairs[place])))
         gain = _added(best.pairs[place])
         out.append(replace(alike, gain=gain, separating_test=_words(alike.separating_test, best.test, gain)))
@@ -290,9 +290,9 @@ def _words(known: str, test: Extra, gain: float) -> str:
     made = f"{test.name} ({hours_in_words(test.hours)})"
     if gain >= CLEAR:
         odds = "more than 1000 to 1" if gain > math.log(1000.0) else f"about {math.exp(gain):.0f} to 1"
-        said = f"here: {made}, expected odds {odds}"
+        text = f"here: {made}, expected odds {odds}"
     elif gain > 0.5:
-        said = f"of the usual tests none settles it alone; the best is {made}, expected odds {math.exp(gain):.1f} to 1"
+        text = f"of the usual tests none settles it alone; the best is {made}, expected odds {math.exp(gain):.1f} to 1"
     else:
-        said = "none of the usual tests on this machine separates them"
-    return f"{known}; {said}" if known else said
+        text = "none of the usual tests on this machine separates them"
+    return f"{known}; {text}" if known else text

@@ -1,4 +1,4 @@
-"""Tests that exist as files and tests that are only planned; and what is asked about where nobody says."""
+"""Tests from files and planned tests; and the default effects of a question."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -33,17 +33,17 @@ USUAL = (
     "axis_expansion",
     "spindle_growth",
 )
-"""Effects that are asked about where none are named: each once for every component error that the tests see."""
+"""Default effects of a question: each once for every component error that the tests see."""
 
 
 def load_test(path: Path, machine: Machine) -> Measurement:
-    """Read a test: a measurement, or a TOML that only says what would be measured.
+    """Read a test: a measurement, or a TOML that describes a planned one.
 
     A planned test has the `[measurement]` and `[setup]` tables of a measurement's TOML, and the tables of
     `rtec simulate --settings` (`[targets]`, `[[phase]]`, …) for where and when.
 
     Raises:
-        RtecError: what is wrong in it.
+        RtecError: the file is malformed; the message says where.
     """
     if path.suffix != ".toml" or path.with_suffix(".csv").exists() or path.with_suffix(".parquet").exists():
         table = path if path.suffix != ".toml" else _table_beside(path)
@@ -65,12 +65,12 @@ def _table_beside(path: Path) -> Path:
 
 
 def dry(machine: Machine, instrument: Instrument, settings: Settings, name: str) -> Measurement:
-    """Poses, times and temperatures of a test that nobody has made yet."""
+    """Poses, times and temperatures of a planned test."""
     return simulate(Model(machine, name="nothing"), instrument, settings, 1, name)
 
 
 def usual_effects(measurements: Sequence[Measurement], names: Sequence[str] = USUAL) -> list[Effect]:
-    """Effects that are asked about where none are named."""
+    """Effects in question by default."""
     readings = read(measurements, smooth=False)
     out: list[Effect] = []
     for seen in visible(readings):
@@ -84,7 +84,7 @@ def usual_effects(measurements: Sequence[Measurement], names: Sequence[str] = US
 
 
 def thinned(measurement: Measurement, most: int = 3000) -> Measurement:
-    """Every so many-th row, so that planning stays quick: whole runs where there are many."""
+    """Every n-th row, so that planning stays quick: whole runs where there are many."""
     if len(measurement) <= most:
         return measurement
     keep = np.unique(np.linspace(0, len(measurement) - 1, most).astype(np.int64))
@@ -105,10 +105,10 @@ def thinned(measurement: Measurement, most: int = 3000) -> Measurement:
 def wanted_effects(
     text: str | None, model: Path | None, measurements: Sequence[Measurement], machine: Machine
 ) -> list[Effect]:
-    """What is to be found: named in a text, those of a model, or the usual ones.
+    """Effects in question: named in a text, those of a model, or the usual ones.
 
     Raises:
-        ConfigError: nothing is left to ask about.
+        ConfigError: no effect remains.
         ModelError: an unknown effect, component or argument.
     """
     from rtec.characterise.effect_list import read_wanted

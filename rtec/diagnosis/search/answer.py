@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.heat import lag_assumed, stands_for, unrecorded_heat
+from rtec.diagnosis.heat import lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown, label_of
 from rtec.diagnosis.search import picture
@@ -26,7 +26,7 @@ from rtec.diagnosis.search.confounded import (
     pitch_in_doubt,
 )
 from rtec.diagnosis.search.expressions import Typed, propose
-from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
+from rtec.diagnosis.search.not_found import SURE, absent_effects, significant, untestable
 from rtec.diagnosis.search.refit import NOTHING_MUCH, Prepared, Refits, Refitted
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
@@ -45,40 +45,40 @@ from rtec.model import FittedEffect, Model
 Floats = NDArray[np.float64]
 
 DECIDED = 0.99
-"""A number of which a smaller share is decided by itself has no error to be told."""
+"""A number has no standard error where the readings determine a smaller share of it than this by themselves."""
 UNHEARD = 100.0
-"""A standard error that is so many times a number, and its usual size, tells nothing."""
+"""A standard error this many times the number and its usual size means that the number is not determined."""
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 BETTER = 0.9
-"""An effect that leaves less than this share of the winner's mean square on runs left out disputes its place."""
+"""An effect disputes the winner's place where its mean square on held-out runs is below this share of the winner's."""
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """All that a search found out.
+    """Everything that the answer is made from.
 
     Attributes:
         model: the current model.
         prepared: readings, base and noise.
-        candidates, untried: what was looked for, and what could not be.
-        prior_odds: log of how much likelier nothing is than any one effect, before the readings.
-        projected, found: the readings less the base, and the weights of all candidates.
+        candidates, untried: effects that were searched, and those that could not be.
+        prior_odds: log of the prior odds of "nothing" against any one effect.
+        projected, found: the readings less the base, and the evidence of all candidates.
         refits: fits of candidates along with the model.
-        tried: candidates fitted anew, best first.
+        refitted: refitted candidates, best first.
         partner: number of the one that has to be added with the first, if any.
-        p: family-wise probability of chance.
+        p: family-wise probability by noise alone.
         accepted: whether the first is named.
-        adequacy: what it explains of what can be explained.
-        unknown, shape: what is there if nothing has a name, and its shape.
-        judged: the model as it stands.
+        adequacy: share of what the best shape explains that the first explains too.
+        unknown, shape: the error without a name, where there is one, and its shape.
+        judged: the current model, judged on these readings.
         doubts: about the record itself.
-        chain: effects that are named together though they leave something without a name; the first is that of
-            `tried`.
-        undecided: what the runs differ by where the first may explain it and is not named.
-        seed: of the draws.
-        explain: whether to work out what only people want to know: which test tells confusions apart.
-        beside: what all candidates say beside the one that was named; None where none was, or not asked for.
+        chain: effects that are named together though part of the residual has no name; the first is that of
+            `refitted`.
+        undecided: differences between runs that the first may explain though it is not named.
+        seed: of the random draws.
+        explain: whether to work out explanations for people: which test separates confounded effects.
+        beside: evidence of all candidates beside the named one; None where none is named, or it was not requested.
     """
 
     model: Model
@@ -89,7 +89,7 @@ class SearchResult:
     projected: Projected
     found: Screen
     refits: Refits
-    tried: Sequence[Refitted]
+    refitted: Sequence[Refitted]
     partner: int | None
     p: float
     accepted: bool
@@ -106,13 +106,13 @@ class SearchResult:
 
 
 def determined(p: Parameter, value: float, se: float) -> bool:
-    """Whether readings say more of a number than where it is looked for, or what nobody has ever seen."""
+    """Whether the readings determine a number better than its search range, or its usual size, does."""
     span = p.high - p.low
     return se < (span if math.isfinite(span) else UNHEARD * max(abs(value), p.typical))
 
 
 def answer(searched: SearchResult) -> Diagnosis:
-    """Put the answer together."""
+    """Diagnosis from the results of a search."""
     return _Answer(searched).diagnosis()
 
 
@@ -122,35 +122,35 @@ class _Answer:
         self.readings = searched.prepared.readings
 
     def diagnosis(self) -> Diagnosis:
-        findings = self._findings(self.s.found, list(self.s.tried), self.s.p, self.s.accepted)
+        findings = self._findings(self.s.found, list(self.s.refitted), self.s.p, self.s.accepted)
         if self.s.partner is not None:
             findings = (replace(findings[0], partner=findings[1]), *findings[1:])
         return self._answer(self.s.found, findings, self.s.adequacy, self.s.unknown)
 
-    def _findings(self, found: Screen, tried: list[Refitted], p: float, accepted: bool) -> tuple[Finding, ...]:
-        if not tried:
+    def _findings(self, found: Screen, refitted: list[Refitted], p: float, accepted: bool) -> tuple[Finding, ...]:
+        if not refitted:
             return ()
         same = [
-            self._same(found, tried[0], t) or (t.number != self.s.partner and self._disputes(tried[0], t))
-            for t in tried
+            self._same(found, refitted[0], t) or (t.number != self.s.partner and self._disputes(refitted[0], t))
+            for t in refitted
         ]
-        mine = found.contribution(tried[0].number)
-        # What explains another part is no rival, but maybe missing as well: its probability is among its own like.
+        mine = found.contribution(refitted[0].number)
+        # An effect that explains another part is no rival but may be missing too: its probability is among its like.
         besides = np.array(
             [
                 accepted and s and cosine(mine, found.contribution(t.number)) < APART
-                for t, s in zip(tried, same, strict=True)
+                for t, s in zip(refitted, same, strict=True)
             ]
         )
-        odds = np.array([t.log_evidence for t in tried])
+        odds = np.array([t.log_evidence for t in refitted])
         posterior = np.where(besides, self._posterior(odds, besides), self._posterior(odds, ~besides))
         return tuple(
-            self._finding(found, rank, t, tried, p, float(posterior[i]), accepted, same[i], bool(besides[i]))
-            for rank, (i, t) in enumerate(enumerate(tried), 1)
+            self._finding(found, rank, t, refitted, p, float(posterior[i]), accepted, same[i], bool(besides[i]))
+            for rank, (i, t) in enumerate(enumerate(refitted), 1)
         )
 
     def _posterior(self, odds: Floats, among: NDArray[np.bool_]) -> Floats:
-        """Probability of each of these candidates beside the others of them and "nothing"."""
+        """Probability of each of these candidates against the others of them and "nothing"."""
         every = np.append(np.where(among, odds, -np.inf), self.s.prior_odds)
         weights = np.exp(every - every.max())
         share: Floats = (weights / weights.sum())[:-1]
@@ -161,15 +161,15 @@ class _Answer:
         found: Screen,
         rank: int,
         t: Refitted,
-        tried: Sequence[Refitted],
+        refitted: Sequence[Refitted],
         p: float,
         share: float,
         accepted: bool,
         same: bool,
         beside: bool,
     ) -> Finding:
-        candidate, winner = self.s.candidates[t.number], tried[0]
-        confused = tuple(self._alikes(found, t, tried)) if rank == 1 and accepted else ()
+        candidate, winner = self.s.candidates[t.number], refitted[0]
+        confused = tuple(self._alikes(found, t, refitted)) if rank == 1 and accepted else ()
         numbers, size = self._numbers(candidate.effect, t.theta, t)
         return Finding(
             rank=rank,
@@ -196,7 +196,7 @@ class _Answer:
         return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same)
 
     def _same(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
-        """Whether the readings cannot tell another candidate from the winner."""
+        """Whether these readings cannot distinguish another candidate from the winner."""
         if winner.number == other.number:
             return True
         if self.s.chain:
@@ -208,25 +208,25 @@ class _Answer:
         one = found.variants[found.best[winner.number]]
         two = found.variants[found.best[other.number]]
         if two.count > one.count:
-            return False  # it holds the winner and more, and the more buys nothing
+            return False  # it contains the winner, and the rest explains nothing more
         cos = cosine(found.contribution(winner.number), found.contribution(other.number))
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
 
     def _disputes(self, winner: Refitted, other: Refitted) -> bool:
-        """Whether the runs left out speak for a sure effect that the evidence puts behind the winner."""
+        """Whether held-out runs favour a significant effect that the evidence ranks behind the winner."""
         if self.s.chain:
             return False
         sure = other.holds and other.log_evidence - self.s.prior_odds > SURE
         return sure and 1.0 - other.drop < BETTER * (1.0 - winner.drop)
 
-    def _alikes(self, found: Screen, winner: Refitted, tried: Sequence[Refitted]) -> list[Alike]:
-        """What cannot be told from the winner: of those fitted anew by their evidence, of the others by their shape."""
+    def _alikes(self, found: Screen, winner: Refitted, refitted: Sequence[Refitted]) -> list[Alike]:
+        """Effects confounded with the winner: the refitted ones by evidence, the others by shape."""
         mine = self.s.candidates[winner.number].effect
         shape = found.contribution(winner.number)
         width = found.variants[found.best[winner.number]].count
-        # One of each name: sensors that move alike are names of their own, of pairs of sensors one stands for all.
+        # One of each name: each sensor has a name of its own; of pairs of sensors that move together one is enough.
         out: dict[tuple[str, str, str], tuple[Alike, int]] = {}
-        fitted = {t.number: t for t in tried}
+        fitted = {t.number: t for t in refitted}
         for number in found.order[:LOOKED_AT]:
             if number == winner.number:
                 continue
@@ -242,25 +242,25 @@ class _Answer:
                 name = other.effect, other.component, getattr(other, "sensor", None) or ""
                 out.setdefault(name, (alike(mine, other, cos, behind), number))
         rivals = [r for r in out.values() if not r[0].apart]
-        evidence = {t.number: t.log_evidence for t in tried}
-        said = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
-        said += [a for a, n in sorted(out.values(), key=lambda a: -evidence.get(a[1], -math.inf)) if a.apart]
+        evidence = {t.number: t.log_evidence for t in refitted}
+        listed = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
+        listed += [a for a, n in sorted(out.values(), key=lambda a: -evidence.get(a[1], -math.inf)) if a.apart]
         part = winner.columns @ winner.fit.values[self._first(winner) :][: winner.columns.shape[1]]
         asked = (
             fold(self.readings, self.s.prepared.base, mine, winner.theta, part),
             curve_or_wave(self.readings, self.s.prepared.base, mine, part),
             self._pitch(winner),
-            bent_part(mine, self._coefficient(winner), self._beside(winner, tried)),
+            bent_part(mine, self._coefficient(winner), self._beside(winner, refitted)),
         )
-        return [*said, *(a for a in asked if a is not None)]
+        return [*listed, *(a for a in asked if a is not None)]
 
     def _coefficient(self, t: Refitted) -> float:
         """The first number of a candidate."""
         return float(t.fit.values[self._first(t)])
 
-    def _beside(self, winner: Refitted, tried: Sequence[Refitted]) -> list[tuple[Effect, float]]:
+    def _beside(self, winner: Refitted, refitted: Sequence[Refitted]) -> list[tuple[Effect, float]]:
         """Effects that are named with the winner, and those of the model, with their first coefficients."""
-        named = [t for t in (*tried, *self.s.chain[1:]) if t.number == self.s.partner or t in self.s.chain[1:]]
+        named = [t for t in (*refitted, *self.s.chain[1:]) if t.number == self.s.partner or t in self.s.chain[1:]]
         out = [(self.s.candidates[t.number].effect, self._coefficient(t)) for t in named if t.number != winner.number]
         return out + [(f.effect, next(iter(f.values.values()), 0.0)) for f in self.s.model.effects]
 
@@ -269,27 +269,27 @@ class _Answer:
         return self.s.prepared.base.shape[1] if t.before is None else t.before
 
     def _pitch(self, winner: Refitted) -> Alike | None:
-        """The screw of another pitch that the winner may be, where the machine file's does not give the wave."""
+        """The screw of another pitch that may cause the winner's wave, where the machine file's pitch does not."""
         effect = self.s.candidates[winner.number].effect
         axis = getattr(effect, "axis", None)
         if any(
             f.effect.effect == "cyclic_screw" and getattr(f.effect, "axis", None) == axis for f in self.s.model.effects
         ):
-            return None  # the wave once a turn is in the model: the pitch is right
+            return None  # the model has the wave once a turn: the pitch is right
         return pitch_in_doubt(effect, winner.theta, self.s.model.machine)
 
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
-        """Those about the record, and about the machine file where the finding raises them."""
+        """Doubts about the record, and about the machine file where the finding raises them."""
         if not (findings and findings[0].accepted):
-            slow = unrecorded_heat(self.readings, self.s.refits.without)
+            slow = unrecorded_heat(self.readings, self.s.refits.current)
             return (*self.s.doubts, *([slow] if slow is not None else []))
-        first, out = self.s.tried[0], list(self.s.doubts)
+        first, out = self.s.refitted[0], list(self.s.doubts)
         asked = self._pitch(first)
         if asked is not None:
             message = f"Is pitch_mm right? The wave that is missing is that of a screw: {asked.why}."
             out.append(Doubt("wrong_pitch", message, words.sentence(asked.separating_test)))
         effect, machine = self.s.candidates[first.number].effect, self.s.model.machine
-        stands, slow = stands_for(self.readings, effect), None
+        substitute, slow = substitute_sensor(self.readings, effect), None
         named = [
             first.number,
             *([self.s.partner] if self.s.partner is not None else []),
@@ -298,12 +298,13 @@ class _Answer:
         read = {c for n in named for c in self.s.candidates[n].effect.channels(machine)}
         if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(read):
             slow = self._slow_beside(first, findings[0].size_um)
-        return (*out, *(d for d in (stands, slow) if d is not None))
+        return (*out, *(d for d in (substitute, slow) if d is not None))
 
     def _slow_beside(self, first: Refitted, size_um: float) -> Doubt | None:
-        """That more grows and falls slowly than what is named explains, whatever candidate explains a part of that.
+        """Doubt where more grows and falls slowly than the named effects explain, even if a candidate explains a part.
 
-        What is as sure where each run has a slope of its own is no part of that growth, which then is reported beside.
+        An effect that is as significant where each run has a slope of its own is no part of that growth; it is then
+        reported beside it.
         """
         refits, odds = self.s.refits, self.s.prior_odds
         last = self.s.chain[-1] if self.s.chain else first
@@ -318,7 +319,7 @@ class _Answer:
         return replace(slow, fatal=False) if slow is not None and apart else slow
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
-        """The same with the test that this machine can take and that tells them apart soonest."""
+        """The same, each with the shortest test that this machine can take and that separates them."""
         whitener, base = self.s.prepared.whitener, self.s.prepared.base
 
         def fitted(number: int, theta: Mapping[str, float]) -> FittedEffect:
@@ -326,11 +327,11 @@ class _Answer:
 
         mine = fitted(winner.number, winner.theta)
         known = {n: self.s.candidates[n].thetas[found.variants[found.best[n]].theta] for _, n in alikes}
-        known |= {t.number: t.theta for t in self.s.tried}
+        known |= {t.number: t.theta for t in self.s.refitted}
         others = [(a, fitted(n, known[n])) for a, n in alikes]
         try:
             return list(with_gains(others, mine, self.s.model, whitener))
-        except RtecError:  # a machine that no planned test can be simulated on: the catalogue's words stand
+        except RtecError:  # a machine that no planned test can be simulated on: the catalogue's words stay
             return [a for a, _ in alikes]
 
     def _numbers(self, effect: Effect, theta: Mapping[str, float], t: Refitted) -> tuple[dict[str, Number], float]:
@@ -343,7 +344,7 @@ class _Answer:
         slopes = [slope(fitted, self.readings, name, values) for name in at]
         whole = np.concatenate([t.fit.columns, *[s[:, None] for s in slopes]], axis=1)
         white = t.fit.whitener(whole)
-        # Of a number that others could take the place of, the pseudo-inverse knows the share that it gave it.
+        # Where others can replace a number, the pseudo-inverse knows only the share that it assigned to it.
         spread = np.where(resolved(white) > DECIDED, np.sqrt(np.maximum(np.diag(inverse(white)), 0.0)), 0.0)
         spread = np.concatenate([spread[first : first + len(linear)], spread[t.fit.columns.shape[1] :]])
         numbers = {
@@ -353,16 +354,16 @@ class _Answer:
             )
         }
         part = t.columns @ values
-        # What the current model could have taken up is not of the effect's making.
+        # What the current model could have explained is no part of the effect's contribution.
         base = self.s.prepared.base
         part = part - base @ solve(t.fit.whitener(base), t.fit.whitener(part))
         part = floor.cleaned(self.readings, part)
         return numbers, self.s.judged.pooled(part)
 
     def _noise(self, findings: Sequence[Finding]) -> Whitener:
-        """The noise as it is known best: with what was found in the mean."""
+        """The best estimate of the noise: with the named effects in the mean."""
         accepted = bool(findings) and findings[0].accepted
-        return self.s.tried[0].fit.whitener if accepted and self.s.tried else self.s.prepared.whitener
+        return self.s.refitted[0].fit.whitener if accepted and self.s.refitted else self.s.prepared.whitener
 
     def _answer(
         self,
@@ -376,7 +377,7 @@ class _Answer:
         group = [f for f in findings if f.group]
         doubts = self._doubts(findings)
         if accepted and any(d.kind == "no_temperature" and d.fatal for d in doubts):
-            verdict = "undecided"  # more is slow and unexplained than the effect explains, which may be a part of that
+            verdict = "undecided"  # the effect may be part of a larger slow change that is unexplained
         elif accepted:
             rivals = len(group) > 1 or findings[0].confused_with or any(t.rivals for t in self.s.chain)
             verdict = "ambiguous" if rivals else "missing_effect"
@@ -387,8 +388,8 @@ class _Answer:
         else:
             verdict = "nothing_missing"
         beside = self.s.beside or found
-        speaks = [label_of(self.s.candidates[i].effect) for i in speaking_up(beside, self.s.prior_odds)]
-        absent, unseen = absent_ones((found, beside), findings if accepted else (), self.s.prior_odds)
+        significant_too = [label_of(self.s.candidates[i].effect) for i in significant(beside, self.s.prior_odds)]
+        absent, unseen = absent_effects((found, beside), findings if accepted else (), self.s.prior_odds)
         smallest = float(np.median([a.smallest for a in absent])) if absent else math.nan
         shown = self._shown(findings, unknown)
         draft = Diagnosis(
@@ -405,8 +406,8 @@ class _Answer:
             notes=(
                 *(d.words for d in doubts),
                 *(lag_assumed(readings, findings[0].effect, findings[0].theta) if accepted else ()),
-                *(words.beside(speaks) if self.s.beside is not None else ()),
-                *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.refits.without).left),
+                *(words.beside(significant_too) if self.s.beside is not None else ()),
+                *run_drifts(readings, (self.s.refitted[0].fit if accepted else self.s.refits.current).left),
                 *outlier_words(prepared.wrong),
                 *words.notes(
                     [m.name for m in readings.measurements],
@@ -435,7 +436,7 @@ class _Answer:
 
     @cached_property
     def _typed(self) -> Typed | None:
-        """What has no name, as an expression that can be typed."""
+        """The error without a name, as an expression for `--expr`."""
         if self.s.unknown is None or self.s.shape is None or not self.s.explain:
             return None
         return propose(self.readings, self.s.prepared.base, self.s.shape)
@@ -447,7 +448,7 @@ class _Answer:
         return replace(unknown, where=t.where, expression=t.expression, parameters=t.parameters, feeds=t.component)
 
     def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:
-        """The picture of what was found."""
+        """Figure of the named effect or of the shape without a name."""
         if unknown is not None and not self.s.chain:
             shape = self.s.shape
             if shape is None:

@@ -1,6 +1,6 @@
-"""Which candidates these readings cannot tell apart, and why.
+"""Which candidates these readings cannot separate, and why.
 
-Targets at equal steps show a wave of a period and of its aliases alike.
+Targets at equal steps show a wave of a period and its aliases as the same.
 """
 
 import math
@@ -20,27 +20,27 @@ from rtec.wording import significant
 Floats = NDArray[np.float64]
 
 SAME = 0.99
-"""Cosine between two contributions from which on they are one to these readings."""
+"""From this cosine between two contributions on, these readings cannot distinguish them."""
 WITHIN = math.log(20.0)
 WAVE = 0.9
-"""Cosine from which on a curve may be a wave that equal targets fold onto it."""
+"""From this cosine on, a curve may be a wave that equal targets fold onto it."""
 ONE_FORMULA = 1.0 - 1e-6
 APART = 0.3
-"""Cosine below which two effects explain different parts of the readings."""
+"""Below this cosine two effects explain different parts of the readings."""
 
 
 INDIRECT = 0.4
-"""What each step away from the direct component takes off the logarithm of the prior."""
+"""Each step away from the direct component lowers the logarithm of the prior by this."""
 USUAL = math.log(10.0)
-"""Sizes of a coefficient spread about the usual one by such a factor."""
+"""Factor by which coefficients scatter about the usual size."""
 
 
 def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
-    """Log of a weak prior on the size of an effect: the largest of its coefficients against their usual size.
+    """Log of a weak prior on the size of an effect: its largest coefficient against its usual size.
 
-    It orders what readings cannot tell apart: of two names for one shape, the one that would have to be a hundred
-    times its usual size is the less likely, and so is the one that reaches the readings less directly (an angle of
-    another axis, times its arm). Never more than a few units, so that readings overrule it.
+    It orders what readings cannot separate. Of two names for one shape, the less likely is the one that would have to
+    be a hundred times its usual size, or that reaches the readings less directly (an angle of another axis, times its
+    arm). It never exceeds a few units, so that readings overrule it.
     """
     usual = np.array([p.typical for p in effect.coefficients(machine)])
     ratio = float(np.max(np.abs(values) / usual, initial=1e-300))
@@ -54,7 +54,7 @@ def cosine(a: Floats, b: Floats) -> float:
 
 
 def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
-    """Say why another effect is confused with one, and what separates them.
+    """Why another effect is confused with one, and what separates them.
 
     Args:
         one: the effect in question.
@@ -62,7 +62,7 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         cos: cosine between what the two contribute to the readings.
         log_odds: log evidence of the one over the other.
     """
-    why, test = _told(one, other)
+    why, test = _from_catalogue(one, other)
     apart = cos < APART
     if apart:
         why, test = "", "add rank 1, then diagnose again"
@@ -87,8 +87,8 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
     )
 
 
-def _told(one: Effect, other: Effect) -> tuple[str, str]:
-    """What the catalogue says about two effects, either way round."""
+def _from_catalogue(one: Effect, other: Effect) -> tuple[str, str]:
+    """The catalogue's entries about two effects, in both directions."""
     kinds = all_effects()
     for a, b in ((one, other), (other, one)):
         for confusion in kinds[a.effect].about.confusions if a.effect in kinds else ():
@@ -98,10 +98,10 @@ def _told(one: Effect, other: Effect) -> tuple[str, str]:
 
 
 def _generic(one: Effect, other: Effect) -> str:
-    """What separates two effects that the catalogue does not name together: move what drives only one of them."""
+    """What separates two effects without a common entry in the catalogue: move what drives only one of them."""
     mine, yours = _drivers(one), _drivers(other)
     if (one.effect, one.component) == (other.effect, other.component) and mine == yours:
-        return ""  # forms of one effect, of more numbers or fewer, are no other cause
+        return ""  # another form of the same effect is no other cause
     only, others = sorted(mine - yours), sorted(yours - mine)
     if one.component != other.component:
         return (
@@ -129,7 +129,7 @@ def directness(effect: Effect, machine: Machine) -> int:
 
 
 def diverse(order: Sequence[int], kinds: Sequence[str], most: int, of_a_kind: int) -> list[int]:
-    """The first of an order, at most so many of one kind."""
+    """The first items of an order, at most `most`, at most `of_a_kind` of each kind."""
     count: dict[str, int] = {}
     out = []
     for i in order:
@@ -142,15 +142,15 @@ def diverse(order: Sequence[int], kinds: Sequence[str], most: int, of_a_kind: in
 
 
 AT_PITCH = 0.03
-"""A period that is off by less than this share is that of the screw."""
+"""A period within this relative distance of the screw's pitch is that of the screw."""
 ASKS = ("cyclic_pole", "coupling_misalignment")
-"""Waves that a screw of another pitch makes as well."""
+"""Waves that a screw of another pitch causes as well."""
 
 
 def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine) -> Alike | None:
-    """A wave of a period that is not the machine file's pitch: the file may be wrong; None for anything else.
+    """A wave whose period is not the machine file's pitch: the file may be wrong; None for anything else.
 
-    Twice a turn without a wave once a turn is a screw of half the pitch as well as a coupling.
+    Twice a turn without a wave once a turn may be a screw of half the pitch or a coupling.
     """
     period = period_mm(effect, theta)
     if effect.effect not in ASKS or period is None:
@@ -171,32 +171,32 @@ def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine)
 
 PERIODS = ("pitch", "period")
 EVEN = 1e-3
-"""Steps that differ by less than this share of themselves are equal."""
+"""Steps within this relative difference are equal."""
 SCATTER, MOST_MOVES = 0.25, 0.8
-"""Steps that differ by less than this share are meant to be one, where so many of all are."""
+"""Steps within this relative difference were meant to be equal, where this share of all are."""
 NEAR_STEP = 0.15
-"""A period that is off by less than this share of the step between targets is near it."""
+"""A period within this relative distance of the step between targets is near it."""
 AROUND = 0.5
-"""Turns over the span by which an alias may be off."""
+"""Turns over the span by which an alias may deviate."""
 LEAST_TARGETS = 5
 PER_WAVE = 2.0
-"""Steps in a period from which on it is not folded."""
+"""From this many steps in a period on it is not folded."""
 ORDERS = (1, 2)
-"""Multiples of the steps' own frequency whose aliases are told."""
+"""Multiples of the steps' own frequency whose aliases are reported."""
 ALIASES = 2
-"""So many of them, the longest, beside a curve and beside a wave without a name."""
+"""This many aliases, the longest, are reported beside a curve and beside a wave without a name."""
 RESOLVED_MM = 1e-3
 
 
 def period_mm(effect: Effect, theta: Mapping[str, float]) -> float | None:
-    """The period of a wave along an axis; None for anything else, and for what may be more than a wave."""
+    """Period of a wave along an axis, mm; None for anything else, and for effects that may be more than a wave."""
     if getattr(effect, "axis", None) is None:
         return None
     return next((theta[name] for name in PERIODS if name in theta), getattr(effect, "lambda_mm", None))
 
 
 def step_mm(readings: Readings, channel: str, seen: NDArray[np.bool_]) -> float | None:
-    """The step between targets along an axis where all are equal; None where they are not, or are few.
+    """Step between targets along an axis where all are equal, mm; None where they are not, or are few.
 
     Args:
         readings: the readings.
@@ -212,7 +212,7 @@ def step_mm(readings: Readings, channel: str, seen: NDArray[np.bool_]) -> float 
 
 
 def nominal_step_mm(readings: Readings, channel: str, component: str) -> float | None:
-    """The step that targets along an axis were meant to have, though each is a little off; None where there is none.
+    """Intended step between targets along an axis where each deviates slightly, mm; None where there is none.
 
     Args:
         readings: the readings.
@@ -229,7 +229,7 @@ def nominal_step_mm(readings: Readings, channel: str, component: str) -> float |
 
 
 def aliases_mm(period_mm: float, step: float) -> tuple[float, ...]:
-    """Periods that look like this one at targets so far apart, the longest first."""
+    """Periods that targets at these steps cannot distinguish from this one, mm, the longest first."""
     own, comb = 1.0 / period_mm, 1.0 / step
     found = {abs(order * comb + sign * own) for order in (0, *ORDERS) for sign in (-1.0, 1.0)}
     others = sorted(f for f in found if f > 1e-9 and abs(f - own) > 1e-6 * own)
@@ -237,16 +237,16 @@ def aliases_mm(period_mm: float, step: float) -> tuple[float, ...]:
 
 
 UNEVEN = 3.0
-"""Of two numbers of opposite signs the larger is at most so many times the other where a difference is the cause."""
+"""Of two numbers of opposite signs the larger is at most this many times the other where a difference is the cause."""
 SHIFTS = ("mount_expansion", "ambient_drift", "spindle_growth")
-"""Shifts by one sensor, of which two with opposite signs are what a part does that bends."""
+"""Shifts by one sensor. Two of them with opposite signs are what a bending part does."""
 
 
 def bent_part(effect: Effect, k: float, others: Sequence[tuple[Effect, float]]) -> Alike | None:
-    """The part that bends by the difference of two sensors, where two shifts by one each were found; None elsewhere.
+    """The part that bends by the difference of two sensors, where two shifts by one each were named; None elsewhere.
 
     Args:
-        effect: that was named.
+        effect: the named one.
         k: its coefficient.
         others: effects beside it, and those of the model, with their first coefficients.
     """
@@ -266,13 +266,13 @@ def bent_part(effect: Effect, k: float, others: Sequence[tuple[Effect, float]]) 
 
 
 LONG = 1.0
-"""Turns over the span from which on a curve may be a wave."""
+"""From this many turns over the span on, a curve may be a wave."""
 FREQUENCIES = 60
 CURVES = ("polynomial_position", "piecewise_position", "straightness", "angular_motion")
 
 
 class _Along:
-    """Waves along an axis at the readings that see a component, less what the current model could predict.
+    """Waves along an axis at the readings that see a component, less what the current model can explain.
 
     Args:
         readings: the readings.
@@ -289,14 +289,14 @@ class _Along:
         self.span_mm = float(np.ptp(self._q))
 
     def like_a_wave(self, per_mm: float, part: Floats) -> float:
-        """Cosine between readings, (m,), and the wave of a frequency that is most like them."""
+        """Largest cosine between readings, (m,), and a wave of this frequency."""
         turns = 2.0 * np.pi * per_mm * self._q
         wave = self._left(np.stack([np.sin(turns), np.cos(turns)], axis=1) * self._arms[:, None])
         mine = self._left(part[self._seen])
         return cosine(wave @ np.linalg.lstsq(wave, mine, rcond=None)[0], mine)
 
     def like_a_wave_near(self, period_mm: float, part: Floats) -> float:
-        """The same for the best of the periods that the span hardly tells from one."""
+        """The same for the best of the periods that the span hardly separates from one."""
         about = np.linspace(-AROUND, AROUND, 11) / self.span_mm
         return max(self.like_a_wave(1.0 / period_mm + float(off), part) for off in about)
 
@@ -305,7 +305,7 @@ class _Along:
 
 
 def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats) -> Alike | None:
-    """A wave near the step between equal targets that looks like a curve along the axis; None where none does.
+    """A wave near the step between equal targets that looks like a curve along the axis; None where there is none.
 
     Args:
         readings: the readings.
@@ -320,9 +320,9 @@ def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats
     if step is None:
         return None
     along = _Along(readings, base, effect.component, axis.channel)
-    tried = np.linspace(LONG / along.span_mm, 0.5 / step, FREQUENCIES)
-    cosines = [along.like_a_wave(float(f), part) for f in tried]
-    best, period = max(cosines), 1.0 / float(tried[int(np.argmax(cosines))])
+    frequencies = np.linspace(LONG / along.span_mm, 0.5 / step, FREQUENCIES)
+    cosines = [along.like_a_wave(float(f), part) for f in frequencies]
+    best, period = max(cosines), 1.0 / float(frequencies[int(np.argmax(cosines))])
     if best < WAVE:
         return None
     others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:ALIASES])
@@ -332,7 +332,7 @@ def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats
 
 
 def fold(readings: Readings, base: Floats, effect: Effect, theta: Mapping[str, float], part: Floats) -> Alike | None:
-    """A wave of another period that these targets cannot tell from that of an effect; None where they can.
+    """A wave of another period that these targets cannot separate from that of an effect; None where they can.
 
     Args:
         readings: the readings.
@@ -359,10 +359,9 @@ def fold(readings: Readings, base: Floats, effect: Effect, theta: Mapping[str, f
         folded = tuple(p for p in folded if close or cosines[p] > WAVE)
         if not folded:
             return None
-        said = ", ".join(f"{p:.4g} mm (cosine {cosines[p]:.2f})" for p in folded)
-        why = (
-            f"targets stand every {step:.4g} mm or nearly so, and there a wave of {period:.4g} mm is like one of {said}"
-        )
+        listed = ", ".join(f"{p:.4g} mm (cosine {cosines[p]:.2f})" for p in folded)
+        there = f"targets stand every {step:.4g} mm or nearly so, and there a wave of {period:.4g} mm"
+        why = f"{there} is like one of {listed}"
     else:
         if known and period >= PER_WAVE * step:
             return None

@@ -1,7 +1,7 @@
 """Finds the effect that a model misses: whiten, evidence, refit, veto, alias, adequacy.
 
-The steps are those of `docs/diagnose.md`. Ranking is easy, refusing is hard: a name is given only where chance is
-unlikely (family-wise), the evidence holds with the noise found anew, and runs that were left out get better.
+The steps are those of `docs/diagnose.md`. An effect is named only where noise alone is an unlikely cause
+(family-wise), the evidence holds with the refitted noise, and held-out runs are predicted better.
 """
 
 import math
@@ -38,21 +38,21 @@ Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
 OVERWHELMING = math.log(50.0)
-"""Posterior odds, as a logarithm, that need no draws of chance; a name needs `SURE` of them."""
+"""Log posterior odds above which no random draws are needed; a name needs `SURE` of them."""
 FEW = 40.0
-"""With so few readings beyond the numbers found, any fit looks too good, and only draws of chance count."""
+"""With so few readings per number any fit looks too good: only random draws under noise alone count."""
 ADEQUATE, LEAST = 0.95, 0.7
-"""An effect that explains this share of what the best shape explains describes it, though the shape be likelier; and
-one below the least describes nothing."""
+"""From this share of what the best shape explains on, an effect describes it, even if the shape is likelier.
+Below the lower share it describes nothing."""
 LITTLE = 0.25
-"""A fall of the mean square on runs left out below this is little."""
+"""A fall of the mean square on held-out runs below this is little."""
 PLAIN = 2
-"""Numbers of a plain effect at the most."""
+"""Largest number of coefficients of a plain effect."""
 MAY = 0.3
-"""A candidate that removes this share of the held-out mean square may be why the runs differ, though too few of them
-decide it."""
+"""A candidate that removes this share of the held-out mean square may be why the runs differ, even where too few
+runs decide it."""
 MOSTLY = 0.5
-"""Two effects that only help together must take away at least this share of the mean square on runs left out."""
+"""Two effects that help only together must remove at least this share of the held-out mean square."""
 DRAWS = 400
 
 
@@ -68,37 +68,37 @@ def diagnose(
     stage: Stage | None = None,
     given: Clean | None = None,
 ) -> Diagnosis:
-    """Find what a model misses.
+    """Name the effect that a model misses.
 
     Args:
         model: the current model.
         measurements: of its machine, by any instruments.
-        seed: of the draws of chance.
-        alpha: family-wise probability of a false name that is put up with.
-        draws: how often chance is drawn.
-        only: names of effects to look for; None for the whole catalogue.
-        explain: work out what only people want to know, which takes a second or more: which test of this machine tells
-            confusions apart, and what speaks up beside what was named.
-        stage: told how far it is.
-        given: the measurements, read already.
+        seed: of the random draws.
+        alpha: accepted false-positive rate, family-wise.
+        draws: number of random draws under noise alone.
+        only: names of effects to search for; None for the whole catalogue.
+        explain: also work out explanations for people, which takes a second or more: the test of this machine that
+            separates confounded effects, and what is also significant beside the named effect.
+        stage: progress callback: called with the stage, steps done, steps in total.
+        given: the measurements, already read.
 
     Raises:
         MeasurementError: the measurements do not fit together, are too few, or lack a channel that the model needs.
     """
     check_enough(measurements)
     with one_blas_thread():
-        tell = stage or (lambda *_: None)
-        tell("reading, finding the noise", 0, 1)
+        progress = stage or (lambda *_: None)
+        progress("reading, finding the noise", 0, 1)
         there = given or clean(measurements, model.reference_degc).without_ends()
-        return _Search(model, there, seed, alpha, draws, only, explain, tell).diagnosis()
+        return _Search(model, there, seed, alpha, draws, only, explain, progress).diagnosis()
 
 
 ANOTHER = 0.05
-"""Periods that differ by less than this share are one."""
+"""Periods within this relative difference are one."""
 
 
 def _beside(candidate: EffectCandidate, model: Model) -> EffectCandidate | None:
-    """A wave of an effect that the model has, at other periods than those there; None for anything else."""
+    """A wave of an effect that the model has, at periods other than the model's; None for anything else."""
     there = [f.theta for f in model.effects if f.effect == candidate.effect]
 
     def apart(theta: Mapping[str, float]) -> bool:
@@ -139,76 +139,76 @@ class _Search:
         self._tops: list[Shaped] = []
 
     def diagnosis(self) -> Diagnosis:
-        """Go through the steps."""
+        """Run the steps and return the answer."""
         prepared, readings = self.prepared, self.readings
         projected = self._projected
-        found = self.refits.first_look(projected)
+        found = self.refits.weigh_all(projected)
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
-        again = self.refits.anew(found, self.refits.second_look())
-        tried = led(again, self._prior_odds + SURE, prepared.base, readings)
-        best = tried[0] if tried else None
+        again = self.refits.refitted(found, self.refits.weigh_without_drift())
+        refitted = led(again, self._prior_odds + SURE, prepared.base, readings)
+        best = refitted[0] if refitted else None
         accepted = best is not None and self._accepts(best, p)
         named, share, unknown = self._adequate(best if accepted else None)
-        # One that brings next to nothing alone, and is named for what it does beside another, is half of a pair.
+        # An effect that explains next to nothing alone, and is named for what it does beside another, is half a pair.
         half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
         if self._doubted:
             named, unknown = False, None
-        pair = None if self._doubted or (accepted and named and not half) else self._pair(tried)
+        pair = None if self._doubted or (accepted and named and not half) else self._pair(refitted)
         rich = pair is not None and any(t.columns.shape[1] > PLAIN for t in pair)
-        chain = self._chain(tried, p) if rich or (unknown is not None and pair is None) else []
+        chain = self._chain(refitted, p) if rich or (unknown is not None and pair is None) else []
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
-            pair = None  # simple ones explain as much as two of which one is rich
+            pair = None  # two simple effects explain as much as a pair with a complex one
         if accepted and named and pair is None and best is not None and not chain:
-            chain = self._simple_ones(best, tried)
+            chain = self._simple_ones(best, refitted)
         if chain:
-            tried = [chain[0], *(t for t in tried if t.number != chain[0].number)]
+            refitted = [chain[0], *(t for t in refitted if t.number != chain[0].number)]
             accepted, named = True, True
         if pair is not None:
             numbers = [t.number for t in pair]
-            tried = [*pair, *(t for t in tried if t.number not in numbers)]
+            refitted = [*pair, *(t for t in refitted if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
-        undecided = self._undecided(tried) if not (accepted and named) and unknown is None else None
+        undecided = self._undecided(refitted) if not (accepted and named) and unknown is None else None
         if undecided is not None:
-            tried = [undecided[1], *(t for t in tried if t is not undecided[1])]
+            refitted = [undecided[1], *(t for t in refitted if t is not undecided[1])]
         return answer(
             SearchResult(
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
-                self.refits, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
-                unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
+                self.refits, refitted, pair[1].number if pair is not None else None, p, accepted and named, share,
+                unknown, self._top_shape, self.seed, self.explain, self._next(refitted, pair, accepted and named),
                 self.judged, self.doubts, tuple(chain),
                 undecided[0] if undecided is not None else None,
             )
         )  # fmt: skip
 
-    def _undecided(self, tried: Sequence[Refitted]) -> tuple[RunsDiffer, Refitted] | None:
-        """What the runs differ by and the likeliest that may explain it, though too few runs decide."""
-        may = [t for t in tried if t.holds and t.drop >= MAY and t.log_evidence > 0.0]
+    def _undecided(self, refitted: Sequence[Refitted]) -> tuple[RunsDiffer, Refitted] | None:
+        """Differences between runs, and the likeliest effect that may explain them though too few runs decide."""
+        may = [t for t in refitted if t.holds and t.drop >= MAY and t.log_evidence > 0.0]
         if self._doubted or not may:
             return None
-        found = runs_differ(self.readings, self.refits.without.left, self.judged.scale)
+        found = runs_differ(self.readings, self.refits.current.left, self.judged.scale)
         if found is None:
             return None
         first = max(may, key=lambda t: t.log_evidence)
         return RunsDiffer(*found, type(self.candidates[first.number].effect).about.reveal), first
 
-    def _next(self, tried: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
-        """All candidates beside what was named; of very many readings only some are looked at, which tells no sizes."""
-        if not self.explain or not named or self.refits.few[1] is not self.readings:
+    def _next(self, refitted: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
+        """All candidates beside the named one; of very many readings some are skipped, and sizes are then unknown."""
+        if not self.explain or not named or self.refits.subset[1] is not self.readings:
             return None
-        fit = (pair[1] if pair is not None else tried[0]).fit
-        return self.refits.look(fit.whitener, fit.columns)
+        fit = (pair[1] if pair is not None else refitted[0]).fit
+        return self.refits.weigh(fit.whitener, fit.columns)
 
     def _accepts(self, best: Refitted, p: float) -> bool:
-        """Chance is unlikely, or the evidence with the noise found anew is overwhelming; and left-out runs agree.
+        """Noise alone is unlikely, or the evidence with the refitted noise overwhelming; and held-out runs agree.
 
-        The draws of chance know only the noise that was found without the effect; where that noise swallowed it, they
-        make chance look better than it is.
+        The random draws know only the noise that was estimated without the effect. Where that noise absorbed the
+        effect, they make noise alone look likelier than it is.
         """
         beyond = best.log_evidence - self._prior_odds
         if self._doubted:
             return False
-        if unrecorded_heat(self.readings, self.refits.without) is not None and (
+        if unrecorded_heat(self.readings, self.refits.current) is not None and (
             best.drop < NOTHING_MUCH or self.refits.beside_slopes(best) - self._prior_odds < SURE
         ):
             return False  # heat that no sensor recorded bends and stretches as much
@@ -223,14 +223,14 @@ class _Search:
         return sure and not self.refits.jumps_again(best)
 
     def _between_files(self, best: Refitted) -> Doubt | None:
-        """That an effect explains only what differs between files: a machine that has changed explains it as well."""
+        """Doubt where an effect explains only differences between files: a change of the machine explains them too."""
         beside = self.refits.beside_files(best)
         if beside is None or beside - self._prior_odds >= SURE:
             return None
         return only_between_files(self.readings, self.candidates[best.number].effect)
 
     def _is_warm_up(self, best: Refitted) -> bool:
-        """Whether an instrument that warms up by itself explains the readings nearly as well."""
+        """Whether warm-up of an instrument explains the readings nearly as well."""
         width = self.prepared.base.shape[1]
         part = best.columns @ best.fit.values[width : width + best.columns.shape[1]]
         curves = warm_up_curves(self.readings, self.candidates[best.number].effect, part)
@@ -238,26 +238,26 @@ class _Search:
 
     @property
     def _doubted(self) -> bool:
-        """Whether the record is in such doubt that it proves no effect of the machine."""
+        """Whether the doubts about the record rule out any conclusion about the machine."""
         return any(d.blames_no_effect for d in self.doubts)
 
     @cached_property
     def _projected(self) -> Projected:
-        """The readings, whitened, less the current model."""
+        """Whitened readings, less the current model."""
         return Projected.of(self.prepared.whitener, self.prepared.base, self.readings.values)
 
     @property
     def _many(self) -> bool:
-        """Whether there are so many readings beyond the numbers found that a likelihood is worth what it says."""
+        """Whether there are enough readings per number for a likelihood to be reliable."""
         return self._projected.freedom > FEW
 
     @property
     def _prior_odds(self) -> float:
-        """Log of how much likelier nothing is than any one effect of one component, before the readings."""
+        """Log of the prior odds of "nothing" against any one effect of one component."""
         return math.log(max(len(self.refits.alternatives), 2))
 
     def _adequate(self, best: Refitted | None) -> tuple[bool, float | None, Unknown | None]:
-        """Is the best effect as good as a shape without a name; and if none is, what is there?"""
+        """Whether the best effect is as good as a shape without a name; its adequacy; that shape where it is not."""
         self.stage("shapes without a name", 0, 1)
         tops = [t for t in self._shapes(best) if best is None or not far_better(best, t)]
         top = max(tops, key=lambda t: t.log_evidence, default=None)
@@ -274,13 +274,13 @@ class _Search:
         if top is None or top.log_evidence < best.log_evidence + WITHIN:
             bar = best.log_evidence + WITHIN if top is None else top.log_evidence + WITHIN
             return share >= LEAST or self._with_another(best, top) > bar, share, None
-        # A shape without a name is likelier; where the effect is almost that shape, or is one of two that together are
-        # likelier than it, the name is the better answer still.
+        # A shape without a name is likelier. Where the effect is almost that shape, or is one of two that together are
+        # likelier than the shape, its name is still the better answer.
         named = share >= ADEQUATE or self._with_another(best, top) > top.log_evidence
         return named, share, None if named else self._unknown(top)
 
     def _simpler(self, best: Refitted, tops: Sequence[Shaped]) -> Shaped | None:
-        """A hump or a step that is likelier than an effect of more numbers; None where there is none."""
+        """A hump or a step that is likelier than an effect with more numbers; None where there is none."""
         width = best.columns.shape[1]
         places = [t for t in tops if t.shape.place is not None and 1 + t.shape.searched < width]
         local = max(places, key=lambda t: t.log_evidence, default=None)
@@ -289,27 +289,27 @@ class _Search:
     def _with_another(self, best: Refitted, top: Shaped | None) -> float:
         """Log evidence of the best effect together with the best one beside it; minus infinity where there is none.
 
-        What a shape without a name predicts far better than both, both do not explain.
+        Where a shape without a name predicts far better than the pair, the pair is no explanation.
         """
         pairs = [t for t in self.refits.beside(best) if top is None or not far_better(top, t)]
         return max((t.log_evidence for t in pairs), default=-math.inf)
 
-    def _pair(self, tried: Sequence[Refitted]) -> tuple[Refitted, Refitted] | None:
-        """Two effects of which each alone makes runs left out no better, and which together leave little.
+    def _pair(self, refitted: Sequence[Refitted]) -> tuple[Refitted, Refitted] | None:
+        """Two effects that do not improve held-out runs alone, and together leave little residual.
 
-        Such are an effect at once and the same effect late with the other sign: a part that bends while it is being
-        warmed through. Asked for only where one is sure of itself but for the runs left out, and only where no shape
-        without a name comes near.
+        An example is an immediate effect and the same effect, delayed, with the other sign: a part that bends while it
+        warms through. They are searched for only where an effect is significant but for the held-out runs, and only
+        where no shape without a name comes near.
         """
         if not self._many:
             return None
         width, bar = self.prepared.base.shape[1], self._prior_odds + OVERWHELMING
         best: tuple[Refitted, Refitted] | None = None
-        firsts = [t for t in sorted(tried, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]
+        firsts = [t for t in sorted(refitted, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]
         for first, seconds in zip(firsts, each(self.refits.beside, firsts, len(self.readings)), strict=True):
             for second in seconds:
                 sure = second.holds and second.log_evidence - first.log_evidence > bar and second.drop > MOSTLY
-                # What happened at an instant helps by itself, or not at all.
+                # An event at an instant helps by itself, or not at all.
                 sure = sure and not self.refits.at_instant(second.number)
                 if sure and (best is None or second.log_evidence > best[1].log_evidence):
                     both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
@@ -318,11 +318,12 @@ class _Search:
             return None
         return best
 
-    def _chain(self, tried: Sequence[Refitted], p: float) -> list[Refitted]:
-        """Simple effects that are sure and take much away, though a shape without a name would take more.
+    def _chain(self, refitted: Sequence[Refitted], p: float) -> list[Refitted]:
+        """Simple, significant effects that remove much of the residual, though a shape without a name removes more.
 
-        A shape that is allowed everything holds a squareness too. So where a plain effect of one or two numbers is
-        sure, and a good part of the error on held-out runs goes with it, it is named, and what stays is told apart.
+        A shape that may take any form also contains a squareness. So a plain effect of one or two numbers is named
+        where it is significant and removes a good part of the held-out mean square; the residual is reported
+        separately.
         """
         local = self._top_shape is not None and self._top_shape.shape.place is not None
         if not self._many or p >= self.alpha or local:
@@ -338,24 +339,24 @@ class _Search:
             read = set(effect.channels(machine))
             places = {a.channel for a in machine.axes} & read
             few = len(places) <= 1 and len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
-            return few and not read & followed  # a straight line through what bends with a temperature is no cause
+            return few and not read & followed  # a straight line through a curve over a temperature is no cause
 
-        sure = [t for t in tried if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
+        sure = [t for t in refitted if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.drop, default=None)
         if first is None:
             return []
         chain = self.refits.chain(first, bar, plain)
         return chain if chain[-1].drop >= LITTLE else []
 
-    def _simple_ones(self, best: Refitted, tried: Sequence[Refitted]) -> list[Refitted]:
-        """Two simple effects that together are likelier than one of three numbers or more; none where there are none.
+    def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
+        """Two simple effects that together are likelier than one of three numbers or more; empty where there are none.
 
-        Both must be as sure as a first one: what has many numbers follows two causes at once as it follows one.
+        Both must be as significant as a first one: an effect of many numbers can fit two causes as well as one.
         """
         if best.columns.shape[1] <= PLAIN:
             return []
         bar = self._prior_odds + SURE
-        simple = [t for t in tried if t.holds and t.columns.shape[1] <= PLAIN and t.log_evidence > bar]
+        simple = [t for t in refitted if t.holds and t.columns.shape[1] <= PLAIN and t.log_evidence > bar]
         out: list[Refitted] = []
         for first in sorted(simple, key=lambda t: -t.log_evidence)[:BESIDE]:
             for second in self.refits.beside(first):
@@ -372,16 +373,18 @@ class _Search:
         return out
 
     def _shapes(self, best: Refitted | None) -> list[Shaped]:
-        """The best shapes without a name, looked for under the noise that is known best and as if without drift."""
+        """The best shapes without a name, searched under the best estimate of the noise and under one without drift."""
         known = best.fit.whitener if best is not None else self.prepared.whitener
         noises = (known, without_drift(self.prepared.whitener))
         return best_shapes(
-            self.readings, self.prepared.base, noises, self.refits.fit, self.refits.without, self.refits.left_out
+            self.readings, self.prepared.base, noises, self.refits.fit, self.refits.current, self.refits.held_out_gain
         )
 
     def _unknown(self, top: Shaped) -> Unknown:
         by_time = "time_s" in top.shape.variables
-        top = without_idle(top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.left_out)
+        top = without_idle(
+            top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.held_out_gain
+        )
         self._top_shape, shape = top, top.shape
         period, step = None, None
         if shape.period is not None:

@@ -1,9 +1,9 @@
-"""What no effect describes, as an expression that can be typed: a hump, a step, a polynomial or a wave, and where.
+"""An error without a name as an expression for `--expr`: a hump, a step, a polynomial or a wave, and where.
 
-Simple forms over the variables of the best shape without a name are weighed for each component error that the readings
-see, as the effects of the catalogue are; the best by its evidence is proposed for `rtec add --expr`.
+Simple forms over the variables of the best shape without a name are weighed for each component error that the
+readings see, as the effects of the catalogue are. The one with the best evidence is proposed for `rtec add --expr`.
 
-Forms of an expression for what has no name: polynomials, a hump, a step, a wave; over one variable or two.
+Forms are polynomials, a hump, a step and a wave, over one variable or two.
 """
 
 import itertools
@@ -33,22 +33,22 @@ DEGREES = (1, 2, 3, 4)
 LETTERS = "ABCDEFGH"
 CENTRES, WIDTHS = 24, 7
 NARROWEST, WIDEST = 0.02, 0.5
-"""Of the span: widths of humps and steps that are tried."""
+"""Widths of humps and steps in the grid, as shares of the span."""
 SAMPLED, TURNS, PERIODS = 2.1, 1.5, 60
-"""Shortest period over the step from place to place; fewest turns of a wave over the span; periods tried."""
+"""Shortest period over the step between targets; fewest turns of a wave over the span; periods in the grid."""
 AROUND = 4.0
-"""A width is proposed with bounds so many times as small and large."""
+"""The proposed bounds of a width are this factor below and above it."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """A variable as an expression reads it.
+    """A variable as an expression uses it.
 
     Attributes:
         name: of the channel.
-        low, high: of the readings; of a temperature above the reference.
-        step: from one place to the next.
-        zero: of a temperature, the reference; what is added for people.
+        low, high: of the readings; of a temperature, above the reference.
+        step: between neighbouring values.
+        zero: of a temperature, the reference; it is added in texts for people.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Span:
 
 @dataclass(frozen=True)
 class ExpressionSearch:
-    """A non-linear parameter: where it may lie, and what is tried; `ratio` where steps are ratios."""
+    """A non-linear parameter: its range and its grid; `ratio` where steps are ratios."""
 
     name: str
     low: float
@@ -80,7 +80,7 @@ class ExpressionSearch:
 
     @property
     def start(self) -> float:
-        """The middle of what is tried."""
+        """The middle of the grid."""
         return self.grid[len(self.grid) // 2]
 
     def between(self, value: float) -> float:
@@ -90,7 +90,7 @@ class ExpressionSearch:
         return value * (self.grid[1] / self.grid[0] - 1.0) if self.ratio else self.grid[1] - self.grid[0]
 
     def text(self, value: float) -> str:
-        """As `--param` takes it, about a value."""
+        """The parameter, with this start, as `--param` takes it."""
         low, high = (max(self.low, value / AROUND), min(self.high, value * AROUND)) if self.ratio else (
             self.low, self.high)  # fmt: skip
         return f"{self.name}={_short(value)}:{_short(min(low, value))}..{_short(max(high, value))}"
@@ -98,7 +98,7 @@ class ExpressionSearch:
 
 @dataclass(frozen=True)
 class Form:
-    """An expression with what is searched for; `along` is the variable that the words are of; a wave may grow."""
+    """An expression with its non-linear parameters; the words describe variable `along`; a wave may grow."""
 
     kind: Literal["polynomial", "hump", "step", "wave"]
     expression: str
@@ -140,7 +140,7 @@ def _of_one(span: Span) -> Iterator[Form]:
 
 
 def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
-    """Forms along one variable whose height goes with the other."""
+    """Forms along one variable whose height is proportional to the other."""
     u = spans[along].scaled
     powers = [factor, *(f"{factor}*{u}" if k == 1 else f"{factor}*{u}**{k}" for k in DEGREES[:3])]
     for count in range(2, len(powers) + 1):
@@ -151,27 +151,27 @@ def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
 
 
 def _local(span: Span) -> Iterator[tuple[Literal["hump", "step"], str, tuple[ExpressionSearch, ...]]]:
-    wide = span.high - span.low
-    narrow = max(NARROWEST * wide, span.step)
-    if narrow >= WIDEST * wide:
+    span_length = span.high - span.low
+    narrow = max(NARROWEST * span_length, span.step)
+    if narrow >= WIDEST * span_length:
         return
     centre = ExpressionSearch("centre", span.low, span.high, tuple(np.linspace(span.low, span.high, CENTRES + 2)[1:-1]))
-    widths = tuple(np.geomspace(narrow, WIDEST * wide, WIDTHS))
-    width = ExpressionSearch("width", 0.5 * narrow, wide, widths, ratio=True)
+    widths = tuple(np.geomspace(narrow, WIDEST * span_length, WIDTHS))
+    width = ExpressionSearch("width", 0.5 * narrow, span_length, widths, ratio=True)
     yield "hump", f"exp(-(({span.name} - centre)/width)**2)", (centre, width)
     yield "step", f"tanh(({span.name} - centre)/width)", (centre, width)
 
 
 def _waves(spans: Sequence[Span], period: float | None) -> Iterator[Form]:
-    """An even wave, and those that grow with a variable, their own place too."""
+    """An even wave, and waves whose height grows with a variable or along their own axis."""
     first = spans[0]
-    wide = first.high - first.low
+    span_length = first.high - first.low
     if period is not None:
-        # Farther off than this, the wave is out of step at the ends.
-        off = 0.5 * period / max(wide, period)
+        # At a larger deviation the wave would be out of phase at the ends.
+        off = 0.5 * period / max(span_length, period)
         searched = ExpressionSearch("period", period * (1.0 - off), period * (1.0 + off), (period,))
     else:
-        shortest, longest = max(SAMPLED * first.step, NARROWEST * wide), wide / TURNS
+        shortest, longest = max(SAMPLED * first.step, NARROWEST * span_length), span_length / TURNS
         if shortest >= longest:
             return
         grid = tuple(1.0 / np.linspace(1.0 / longest, 1.0 / shortest, PERIODS))
@@ -195,20 +195,20 @@ Floats = NDArray[np.float64]
 LEADING = 2
 """Component errors for which forms are weighed."""
 ALIKE = 1e-6
-"""Forms whose evidence differs by less are one."""
+"""Forms whose evidence differs by less are equally likely."""
 HALVINGS = 4
 FWHM = 2.0 * math.sqrt(math.log(2.0))
-"""Width of exp(-(x/w)²) at half its height over w."""
+"""Width of exp(-(x/w)²) at half its height, over w."""
 
 
 @dataclass(frozen=True)
 class Typed:
-    """A proposal.
+    """A proposed expression.
 
     Attributes:
         expression, parameters, component: as `--expr`, `--param` and `--component` take them.
-        where: in words; empty where there is nothing to say.
-        effect, theta: the same as an effect, and its non-linear parameters as far as a grid finds them.
+        where: in words; empty where there is nothing to report.
+        effect, theta: the same as an effect, and its non-linear parameters to the precision of a grid.
     """
 
     expression: str
@@ -220,7 +220,7 @@ class Typed:
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _Weighed:
     form: Form
     component: str
     effect: Effect
@@ -229,7 +229,7 @@ class _Tried:
 
 
 def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
-    """The best simple form for a shape without a name; None where none of them is likelier than nothing.
+    """The best simple form for a shape without a name; None where no form is likelier than nothing.
 
     Args:
         readings: the readings.
@@ -244,17 +244,17 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
     known = shaped.fit.whitener
     whitener = known if few is readings else replace(known, readings=few)
     projected = Projected.of(whitener, base[keep], few.values)
-    tried = [
+    weighed = [
         t
         for component in _components(few, projected, shaped)
         for form in forms_of(spans, shaped.shape.period)
         if (t := _best(few, projected, form, component)) is not None
     ]
-    top = max((t.evidence for t in tried), default=0.0)
+    top = max((t.evidence for t in weighed), default=0.0)
     if top <= 0.0:
         return None
-    # A term that the model has already adds nothing: the form without it comes first.
-    best = next(t for t in tried if t.evidence > top - ALIKE)
+    # A term that the model already has adds nothing: the form without it comes first.
+    best = next(t for t in weighed if t.evidence > top - ALIKE)
     best = _refined(few, projected, best)
     parameters = tuple(p.text(best.theta[p.name]) for p in best.form.searched)
     text = best.form.expression
@@ -263,7 +263,7 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
 
 
 def _spans(readings: Readings, shaped: Shaped) -> list[Span] | None:
-    """The variables as an expression reads them; None where it cannot."""
+    """The variables as an expression uses them; None where it cannot."""
     machine, group = readings.machine, Ground(readings).groups[shaped.shape.group]
     out = []
     for name in shaped.shape.variables:
@@ -278,7 +278,7 @@ def _spans(readings: Readings, shaped: Shaped) -> list[Span] | None:
 
 
 def _components(readings: Readings, projected: Projected, shaped: Shaped) -> list[str]:
-    """Component errors through which the shape tells most of all readings, most first."""
+    """Component errors through which the shape explains most of the readings, best first."""
     ground = Ground(readings)
     free = sum(ground.columns(replace(shaped.shape, group=g)) for g in ground.groups)
     mine = {m.instrument.component for m in readings.measurements}
@@ -286,42 +286,42 @@ def _components(readings: Readings, projected: Projected, shaped: Shaped) -> lis
     for seen in visible(readings):
         found = weigh(projected, readings.arms(seen.name)[:, None] * np.asarray(free))
         if found is not None:
-            # Of those that the readings cannot tell apart: what the instrument is there for, then the most direct.
+            # Of those that the readings cannot separate: first what the instrument measures, then the most direct.
             steps = STEPS.get(component_kind(seen.name, readings.machine), len(STEPS))
             scored.append((-round(found[2], 2), seen.name not in mine, not seen.moves, steps, seen.name))
     return [name for *_, name in sorted(scored)[:LEADING]]
 
 
-def _best(readings: Readings, projected: Projected, form: Form, component: str) -> _Tried | None:
+def _best(readings: Readings, projected: Projected, form: Form, component: str) -> _Weighed | None:
     try:
         texts = [p.text(p.start) for p in form.searched]
         effect = expression_from_text(form.expression, texts, component, readings.machine)
-    except ModelError:  # a machine whose axes or sensors have the names of these parameters
+    except ModelError:  # an axis or sensor has the name of a parameter
         return None
     grids = itertools.product(*(p.grid for p in form.searched))
     thetas = (dict(zip((p.name for p in form.searched), map(float, values), strict=True)) for values in grids)
-    tried = (_tried(readings, projected, form, component, effect, theta) for theta in thetas)
-    return max((t for t in tried if t is not None), key=lambda t: t.evidence, default=None)
+    weighed = (_weighed(readings, projected, form, component, effect, theta) for theta in thetas)
+    return max((t for t in weighed if t is not None), key=lambda t: t.evidence, default=None)
 
 
-def _tried(
+def _weighed(
     readings: Readings, projected: Projected, form: Form, component: str, effect: Effect, theta: Mapping[str, float]
-) -> _Tried | None:
+) -> _Weighed | None:
     found = weigh(projected, readings.columns(effect, theta), len(theta))
-    return None if found is None else _Tried(form, component, effect, theta, found[2])
+    return None if found is None else _Weighed(form, component, effect, theta, found[2])
 
 
-def _refined(readings: Readings, projected: Projected, best: _Tried) -> _Tried:
-    """The parameters between those of the grid, by steps that halve."""
+def _refined(readings: Readings, projected: Projected, best: _Weighed) -> _Weighed:
+    """The parameters refined between grid points, by steps that halve."""
     for step in (0.5**k for k in range(1, HALVINGS + 1)):
         for theta in _about(best, step):
-            other = _tried(readings, projected, best.form, best.component, best.effect, theta)
+            other = _weighed(readings, projected, best.form, best.component, best.effect, theta)
             if other is not None and other.evidence > best.evidence:
                 best = other
     return best
 
 
-def _about(best: _Tried, step: float) -> Iterator[dict[str, float]]:
+def _about(best: _Weighed, step: float) -> Iterator[dict[str, float]]:
     for p in best.form.searched:
         for way in (-1.0, 1.0):
             value = best.theta[p.name] + way * step * p.between(best.theta[p.name])
@@ -329,8 +329,8 @@ def _about(best: _Tried, step: float) -> Iterator[dict[str, float]]:
                 yield {**best.theta, p.name: value}
 
 
-def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Tried, spans: Sequence[Span]) -> str:
-    """Where it is, in words."""
+def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Weighed, spans: Sequence[Span]) -> str:
+    """Place of the proposed form, in words."""
     first, unit = spans[best.form.along], spoken(unit_of_channel(spans[best.form.along].name))
     name, theta = named(first.name), best.theta
     columns = readings.columns(best.effect, theta)
@@ -338,16 +338,16 @@ def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Tried, s
     values = solve(whole, whitener(readings.values))[base.shape[1] :]
     if best.form.kind == "hump":
         what = "hump" if values[0] > 0.0 else "dip"
-        wide = f"{FWHM * theta['width']:.2g}"
-        return f"a {what} at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}, about {wide} {unit} wide"
+        full_width = f"{FWHM * theta['width']:.2g}"
+        return f"a {what} at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}, about {full_width} {unit} wide"
     if best.form.kind == "step":
         return f"a step at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}"
     if best.form.kind == "wave":
         grows = best.form.grows
         searched = len(best.form.searched[0].grid) > 1
-        said = [f"a wave with a period of {_rounded(theta['period'])} {unit}"] if searched else []
-        said += [] if grows is None else [f"its height changing with {named(spans[grows].name)}"]
-        return ", ".join(said)
+        parts = [f"a wave with a period of {_rounded(theta['period'])} {unit}"] if searched else []
+        parts += [] if grows is None else [f"its height changing with {named(spans[grows].name)}"]
+        return ", ".join(parts)
     made = np.abs(columns @ values)
     at = [f"{named(s.name)} ≈ {_rounded(float(readings.channel(s.name)[int(np.argmax(made))]))} "
           f"{spoken(unit_of_channel(s.name))}".rstrip() for s in spans if not s.name.startswith("d_")]  # fmt: skip

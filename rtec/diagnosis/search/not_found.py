@@ -1,4 +1,4 @@
-"""What was looked for and not found, with the smallest size that would have been seen, and what could not be seen."""
+"""Effects that are ruled out, with the smallest size that would have been detected, and effects that are untestable."""
 
 import math
 from collections.abc import Sequence
@@ -12,15 +12,15 @@ from rtec.estimation.candidates import Untried
 from rtec.estimation.floor import unit_of
 
 SURE = math.log(20.0)
-"""Odds, as a logarithm, beyond those of finding any effect at all."""
+"""Log odds required beyond the prior odds of any effect at all."""
 ALPHA = 0.05
-"""Accepted false-positive rate, family-wise, where none is given."""
+"""Accepted false-positive rate, family-wise, by default."""
 HARDLY = 3.0
-"""An effect that would be seen only from so many times its usual size on could not be checked."""
+"""An effect that would be detected only from this many times its usual size on could not be checked."""
 
 
 def untestable(untried: Sequence[Untried], found: Screen) -> tuple[NotTestable, ...]:
-    """What these readings could not have shown, whatever its size, and why."""
+    """Effects that these readings could not have shown at any size, and why."""
     from rtec.effects.registry import all_effects
 
     kinds = all_effects()
@@ -39,35 +39,35 @@ def untestable(untried: Sequence[Untried], found: Screen) -> tuple[NotTestable, 
     return tuple(out.values())
 
 
-def speaking_up(found: Screen, prior_odds: float) -> list[int]:
-    """Candidates that the readings speak for, best first.
+def significant(found: Screen, prior_odds: float) -> list[int]:
+    """Significant candidates, best first.
 
     Args:
-        found: all candidates, weighed.
-        prior_odds: log of how much likelier nothing is, before the readings.
+        found: the evidence of all candidates.
+        prior_odds: log of the prior odds of "nothing" against any one effect.
     """
     return [i for i in found.order if found.score[i] > prior_odds + SURE]
 
 
-def absent_ones(
-    looks: Sequence[Screen], findings: Sequence[Finding], prior_odds: float
+def absent_effects(
+    screens: Sequence[Screen], findings: Sequence[Finding], prior_odds: float
 ) -> tuple[tuple[Absent, ...], tuple[NotTestable, ...]]:
-    """The smallest size of each effect that would have been seen, root mean square in the readings.
+    """The smallest size of each effect that would have been detected, root mean square in the readings.
 
-    What the readings speak for in any of the looks is not absent, whatever was named before it.
+    An effect that is significant in any of the screens is not absent, whatever was named before it.
 
     Args:
-        looks: all candidates weighed; the last has what was named in its model and knows the noise best.
-        findings: what was named.
-        prior_odds: log of how much likelier nothing is, before the readings.
+        screens: of all candidates; the last has the named effects in its model and the best noise estimate.
+        findings: the named effects.
+        prior_odds: log of the prior odds of "nothing" against any one effect.
 
     Returns:
-        What was looked for and not found; and what would show only if it were far larger than usual.
+        Effects that are ruled out; and effects that would show only if they were far larger than usual.
     """
-    heard = [(found, i) for found in looks for i in speaking_up(found, prior_odds)]
-    there = {(found.candidates[i].effect.effect, found.candidates[i].effect.component) for found, i in heard}
+    detected = [(found, i) for found in screens for i in significant(found, prior_odds)]
+    there = {(found.candidates[i].effect.effect, found.candidates[i].effect.component) for found, i in detected}
     there |= {(f.effect.effect, f.effect.component) for f in findings if f.group}
-    found, best, usual = looks[-1], dict[tuple[str, str], list[float]](), dict[tuple[str, str], float]()
+    found, best, usual = screens[-1], dict[tuple[str, str], list[float]](), dict[tuple[str, str], float]()
     projected = found.projected
     n = float(len(projected.left))
     noise = projected.squares / projected.freedom

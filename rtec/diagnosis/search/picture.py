@@ -1,4 +1,4 @@
-"""What a figure of a finding shows: residuals, what drives them, and what the finding explains of them."""
+"""Data of a finding's figure: residuals, the variable that drives them, and the part that the finding explains."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,7 +19,7 @@ from rtec.metrology.instruments.ball_bar import BallBar
 Floats = NDArray[np.float64]
 PANELS = 3
 HARDLY = 0.3
-"""Reading columns of whose residual a finding makes less than this share of the most are not shown."""
+"""Columns to which a finding contributes less than this share of its largest contribution are not shown."""
 
 
 def of_effect(
@@ -49,7 +49,7 @@ def _picture(
     values = solve(whitener(whole), whitener(readings.values))
     part = columns @ values[base.shape[1] :]
     residual = readings.values - base @ values[: base.shape[1]]
-    # Run by run the two lose the same zero, so that they lie on each other where the effect explains the residual.
+    # The same zero of each run is removed from both, so that they coincide where the effect explains the residual.
     part, residual = floor.cleaned(readings, part), floor.cleaned(readings, residual)
     moved = np.array([
         float(np.std(part[s.part])) / max(float(np.std(residual[s.part])), 1e-9) for s in readings.series
@@ -71,7 +71,7 @@ def _of_series(
     rows, machine = series.part, readings.machine
     drivers = [(name, readings.channel(name)[rows]) for name in _by_interest(readings, channels)]
     known = [(n, "degC" if n in machine.sensor_names else words.unit_of_channel(n), v) for n, v in drivers]
-    # What stood still in this measurement drives nothing.
+    # A channel that was constant in this measurement drives nothing.
     known = sorted((d for d in known if np.isfinite(d[2]).all()), key=lambda d: np.ptp(d[2]) == 0.0)
     direction = None
     axis = next((a for a in machine.axes if known and a.channel == known[0][0]), None)
@@ -79,7 +79,7 @@ def _of_series(
         way = readings.channel(axis.direction_channel)[rows]
         direction = way if np.isfinite(way).all() and np.ptp(way) > 0 else None
     circle = _on_circle(readings, series)
-    # The angle says more than the positions of two axes.
+    # The angle shows more than the positions of two axes.
     known = [*([("angle_deg", "deg", np.rad2deg(circle.angle_rad))] if circle else []), *known]
     return Picture(
         label, "urad" if series.unit == "urad" else "um", residual[rows], part[rows], tuple(known), direction,
@@ -107,7 +107,7 @@ def series_name(readings: Readings, series: Series) -> str:
 
 
 def _by_interest(readings: Readings, channels: Sequence[str]) -> list[str]:
-    """Positions first, directions last and never alone: a picture over two places says little."""
+    """Positions first; directions last and never alone: a figure over two places shows little."""
     machine = readings.machine
     positions = [a.channel for a in machine.axes]
     directions = {a.direction_channel: a.channel for a in machine.axes}

@@ -1,12 +1,11 @@
-"""Fits what looks best anew, noise and all: each candidate beside the model, and each beside another one.
+"""Refits the best candidates together with the noise: each beside the model, and each beside another one.
 
-Puts a candidate's non-linear parameters where they fit best between the values that were tried.
+A grid finds the hill, not its top: a wave along a long axis whose phase is off by part of a turn at the ends explains
+less than it could, and a standard error about a grid point claims too much. So the non-linear parameters of a
+candidate are refined between the neighbours of the best grid value. Values farther away were not searched, and the
+evidence does not account for them.
 
-A grid finds the hill, not its top: a wave along a long axis that is off by a part of a turn at the ends loses some of
-what it explains, and a standard error about a grid point promises what the number does not hold. It stays between the
-neighbours of the value that was best: what lies farther off was not searched for, and nobody paid for the search.
-
-Readings made ready for the search, and candidates fitted along with the current model.
+The module also prepares readings for the search.
 """
 
 import itertools
@@ -45,21 +44,21 @@ EDGE = 1e-6
 
 
 def polished(
-    effect: Effect, tried: Sequence[Theta], best: int, readings: Readings, projected: Callable[[], Projected]
+    effect: Effect, grid: Sequence[Theta], best: int, readings: Readings, projected: Callable[[], Projected]
 ) -> dict[str, float]:
-    """Give the values that explain most, by least squares from the best tried; these where nothing is better.
+    """Non-linear parameters refined by least squares from the best grid value; that value where nothing is better.
 
     Args:
         effect: the candidate.
-        tried: values of its non-linear parameters.
-        best: which of these is the best.
+        grid: values of its non-linear parameters.
+        best: number of the best grid value.
         readings: the readings.
-        projected: gives the noise, and the current model taken out; asked for only where there is something to find.
+        projected: gives the whitened readings less the current model; called only where a parameter can be refined.
     """
-    start = dict(tried[best])
+    start = dict(grid[best])
     parameters = within_record(effect, readings.measurements)
-    free = [_between(p, tried, start) for p in parameters if _smooth(p)]
-    instants = {p.name: _nearby(p.name, tried, start, readings) for p in parameters if _instant(p)}
+    free = [_between(p, grid, start) for p in parameters if _smooth(p)]
+    instants = {p.name: _nearby(p.name, grid, start, readings) for p in parameters if _instant(p)}
     if not free and not instants:
         return start
     search = _Search(effect, start, free, readings, projected())
@@ -69,13 +68,13 @@ def polished(
 
 
 def _smooth(p: Parameter) -> bool:
-    """Whether a parameter is bounded and moves the readings smoothly: an instant does not, it lies between readings."""
+    """Whether a parameter is bounded and changes the readings smoothly; an instant between readings does not."""
     return math.isfinite(p.low) and math.isfinite(p.high) and p.low < p.high and not _instant(p)
 
 
-def _between(p: Parameter, tried: Sequence[Theta], start: Theta) -> Parameter:
-    """The same from the value below to the value above; at an end of what was tried as far again."""
-    values = sorted({t[p.name] for t in tried})
+def _between(p: Parameter, grid: Sequence[Theta], start: Theta) -> Parameter:
+    """The parameter bounded by the neighbouring grid values; at an end of the grid, by the same distance again."""
+    values = sorted({t[p.name] for t in grid})
     if len(values) < 2:
         return p
     at = values.index(start[p.name])
@@ -92,14 +91,14 @@ def _instant(p: Parameter) -> bool:
 
 
 def live_columns(effect: Effect, theta: Theta, readings: Readings) -> Floats:
-    """Columns of an effect, (m, k); one that hardly moves the readings at its usual size is rounding, and nothing."""
+    """Columns of an effect, (m, k); zero where its usual size moves the readings by less than rounding."""
     columns = readings.columns(effect, theta)
     usual = np.array([p.typical for p in effect.coefficients(readings.machine)])
     return np.asarray(columns * (np.sqrt(np.mean(columns**2, axis=0)) * usual > UNMOVED))
 
 
 def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
-    """How many independent readings would decide each column as well as these do, (k,): two at least, all at most.
+    """Number of independent readings that determine each column equally well, (k,): at least two, at most all.
 
     Args:
         whitener: the noise without the columns.
@@ -110,13 +109,13 @@ def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
     q, plain = (orthonormal(without_nuisance(readings, base)), without_nuisance(readings, columns))
     plain = (plain - q @ (q.T @ plain)) / whitener.floor[readings.series_of][:, None]
     each_one = np.mean((plain - plain.mean(axis=0)) ** 2, axis=0)
-    told = np.sum(Projected.of(whitener, base, readings.values).take_out(whitener(columns)) ** 2, axis=0)
-    return np.asarray(np.clip(told / np.maximum(each_one, 1e-300), 2.0, float(len(readings))))
+    explained = np.sum(Projected.of(whitener, base, readings.values).take_out(whitener(columns)) ** 2, axis=0)
+    return np.asarray(np.clip(explained / np.maximum(each_one, 1e-300), 2.0, float(len(readings))))
 
 
-def _nearby(name: str, tried: Sequence[Theta], start: Theta, readings: Readings) -> list[float]:
-    """Instants between readings from the value below to the value above, that which was tried first."""
-    values = sorted({t[name] for t in tried})
+def _nearby(name: str, grid: Sequence[Theta], start: Theta, readings: Readings) -> list[float]:
+    """Instants between readings from the grid value below to the one above, the grid's first."""
+    values = sorted({t[name] for t in grid})
     at = values.index(start[name])
     low, high = values[max(at - 1, 0)], values[min(at + 1, len(values) - 1)]
     times = np.unique(readings.time_s)
@@ -148,7 +147,7 @@ class _Search:
         return self.start | {p.name: s.value(float(v)) for p, s, v in pairs}
 
     def squares(self, theta: Theta) -> float:
-        """Sum of squares of the residual with the best linear coefficients."""
+        """Sum of squared residuals with the best linear coefficients."""
         left = self._left_at(theta)
         return float(left @ left)
 
@@ -165,7 +164,7 @@ class _Search:
 
 
 def with_slopes(readings: Readings) -> Readings:
-    """The same readings where nobody knows what slope each run has along the axes that move within runs."""
+    """The same readings, where each run has an unknown slope along each axis that moves within runs."""
     series = []
     for s in readings.series:
         places = readings.poses_mm[s.source][s.row]
@@ -179,14 +178,14 @@ def with_slopes(readings: Readings) -> Readings:
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings that count, the current model's columns, and the noise.
+    """The readings that count, the current model's columns, and the noise.
 
     Attributes:
         readings: temperatures smoothed.
         base: columns of the current model, (m, p).
-        predicted: what it says, (m,).
+        predicted: by the model, (m,).
         whitener: the noise.
-        wrong: readings that were left out.
+        wrong: readings that were rejected.
     """
 
     readings: Readings
@@ -197,7 +196,7 @@ class Prepared:
 
 
 def prepare(model: Model, given: Clean) -> Prepared:
-    """Smooth the temperatures, work out the model, find the noise."""
+    """Smoothed temperatures, the model's prediction, and the noise."""
     readings = given.smoothed()
     base = base_of(model, readings)
     left = floor.cleaned(readings, readings.values - base.columns @ solve(base.columns, readings.values))
@@ -207,7 +206,7 @@ def prepare(model: Model, given: Clean) -> Prepared:
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """A candidate fitted together with the current model, under a noise of its own. `==` compares by identity."""
+    """A candidate fitted together with the current model and with its own noise. `==` compares by identity."""
 
     number: int
     theta: Mapping[str, float]
@@ -217,24 +216,24 @@ class Refitted:
     drop: float
     gain: float
     before: int | None = None
-    """Columns of the fit before this candidate's; None for those of the current model."""
+    """Number of columns before this candidate's in the fit; None for those of the current model."""
     rivals: tuple[int, ...] = ()
-    """Numbers of those that the readings cannot tell from it beside what it was fitted beside."""
+    """Numbers of the candidates that the readings cannot distinguish from it beside the same effects."""
 
     @property
     def holds(self) -> bool:
-        """Whether runs that were left out get better, whitened and as they stand."""
+        """Whether held-out runs are predicted better, both whitened and in their unit."""
         return self.gain > 0.0 and self.drop > 0.0
 
 
 NOTHING_MUCH = 0.02
-"""A fall of the mean square on held-out runs below this share is not worth an addition."""
+"""A relative fall of the mean square on held-out runs below this is not worth an addition."""
 FAR = 0.5
-"""Of two that explain the readings, one that leaves less than this share of the other's held-out mean square leads."""
+"""Of two that explain the readings, one leads if its held-out mean square is below this share of the other's."""
 
 
 class Judged(Protocol):
-    """What was judged by held-out runs; `drop` is the relative fall of their mean square."""
+    """A fit judged by held-out runs; `drop` is the relative fall of their mean square."""
 
     @property
     def drop(self) -> float:
@@ -249,39 +248,39 @@ def far_better(one: Judged, other: Judged) -> bool:
 Stage = Callable[[str, int, int], None]
 
 PART, UNSURE = 0.01, math.log(20.0)
-"""A candidate of which another leaves less than this share, by norm, is a case of it; and evidence below which of
-further numbers nobody is sure."""
+"""A candidate is a case of another that leaves less than this share of it, by norm; and the evidence that further
+numbers must add to be significant."""
 
 
-def led(tried: list[Refitted], bar: float, base: Floats, readings: Readings) -> list[Refitted]:
-    """The best first: the likeliest, or one that is sure as well and predicts held-out runs far better.
+def led(refitted: list[Refitted], bar: float, base: Floats, readings: Readings) -> list[Refitted]:
+    """The best first: the likeliest, or a significant one that predicts held-out runs far better.
 
-    Slow drift that is free to follow the readings makes up for much that an effect does not explain; of runs that were
-    held out it predicts nothing. Where a case of fewer numbers is nearly as likely, that one leads.
+    Drift that is free to follow the readings absorbs much of what an effect does not explain, but it predicts nothing
+    of held-out runs. Where a case with fewer numbers is nearly as likely, that one leads.
 
     Args:
-        tried: the likeliest first.
-        bar: evidence of one that is sure.
+        refitted: the likeliest first.
+        bar: evidence from which a candidate is significant.
         base: columns of the current model, (m, p).
         readings: the readings.
     """
-    if not tried or not tried[0].holds:
-        return tried
-    first = tried[0]
-    sure = [t for t in tried if t.holds and t.log_evidence > bar and far_better(t, first)]
+    if not refitted or not refitted[0].holds:
+        return refitted
+    first = refitted[0]
+    sure = [t for t in refitted if t.holds and t.log_evidence > bar and far_better(t, first)]
     lead = max(sure, key=lambda t: t.log_evidence, default=first)
     known = Projected.of(lead.fit.whitener, base, readings.values)
     leaner = [
         t
-        for t in tried
+        for t in refitted
         if t.holds and lead.log_evidence - t.log_evidence < UNSURE and _is_case(t.columns, lead.columns, known)
     ]
     lead = max(leaner, key=lambda t: t.log_evidence, default=lead)
-    return [lead, *(t for t in tried if t is not lead)]
+    return [lead, *(t for t in refitted if t is not lead)]
 
 
 def _is_case(lean: Floats, rich: Floats, known: Projected) -> bool:
-    """Whether columns, (m, k), are in the span of more columns, as far as these readings show."""
+    """Whether the columns `lean`, (m, k), are in the span of `rich`, to the precision of these readings."""
     if lean.shape[1] >= rich.shape[1]:
         return False
     mine, whole = (known.take_out(known.whitener(c)) for c in (lean, rich))
@@ -290,112 +289,111 @@ def _is_case(lean: Floats, rich: Floats, known: Projected) -> bool:
 
 
 TOP, OF_A_KIND, MOST = 7, 3, 14
-"""So many of the best are fitted anew, at most so many of them one effect of one component with other arguments.
-
-With those that the screen does not tell from the best, never more than the last."""
+"""Number of candidates that are refitted, and of those at most this many of one effect of one component with other
+arguments. With those that the screen cannot distinguish from the best, never more than the last."""
 DISTINCT, ONE = 80, 0.9999
-"""So many of the best are looked through for shapes that are one and the same, and what counts as that."""
+"""Number of the best that are searched for identical shapes, and the cosine from which shapes are identical."""
 BESIDE = 3
-"""Effects that are tried beside the best, before it is given up for a shape without a name."""
+"""Effects that are tried beside the best before a shape without a name replaces it."""
 
 
 AGAIN = 0.5
-"""Where a second jump is larger than this share of the first, neither stands alone."""
+"""Where a second jump is larger than this share of the first, neither is a single event."""
 MOST_TOGETHER = 4
-"""Effects that are named together at the most."""
+"""Largest number of effects that are named together."""
 MORE = 0.05
-"""Relative fall of the mean square on held-out runs that a further one must bring."""
+"""Relative fall of the mean square on held-out runs that each further effect must bring."""
 
 
 class Refits:
-    """Fits of candidates to readings, each with the noise found along with it.
+    """Fits of candidates to readings, each with the noise estimated in the same fit.
 
     Args:
         prepared: readings, their noise, the model's columns.
-        candidates: all effects that are looked for.
-        stage: told how far it is.
+        candidates: all effects that are searched.
+        stage: progress callback: called with the stage, steps done, steps in total.
 
     Attributes:
-        alternatives: how many candidates there are of an effect of a component.
-        bank: columns of all candidates at the readings that are looked at.
+        alternatives: number of candidates of each effect of a component.
+        bank: columns of all candidates at the readings of a screen.
     """
 
     def __init__(self, prepared: Prepared, candidates: Sequence[EffectCandidate], stage: Stage) -> None:
         self.prepared, self.readings, self.candidates, self.stage = prepared, prepared.readings, candidates, stage
         self.alternatives = Counter((c.effect.effect, c.effect.component) for c in candidates)
-        self.bank = Bank(self.readings, candidates, self.few[0])
-        self._found_beside: dict[int, list[Refitted]] = {}
+        self.bank = Bank(self.readings, candidates, self.subset[0])
+        self._refitted_beside: dict[int, list[Refitted]] = {}
 
     @cached_property
-    def without(self) -> Fit:
-        """The model as it is."""
+    def current(self) -> Fit:
+        """The fit of the current model alone."""
         return self.fit(self.prepared.base)
 
-    def anew(self, found: Screen, calm: Screen) -> list[Refitted]:
-        """Fit the best of both weighings anew, noise and all; best first."""
+    def refitted(self, found: Screen, driftless: Screen) -> list[Refitted]:
+        """Fit the best of both screens together with the noise; best first."""
         base = self.prepared.base
-        without = self.without
-        looks = [(found, i) for i in self._top(found)]
-        seen = {i for _, i in looks}
-        looks += [(calm, i) for i in self._top(calm) if i not in seen and i in found.best]
+        current = self.current
+        chosen = [(found, i) for i in self._top(found)]
+        seen = {i for _, i in chosen}
+        chosen += [(driftless, i) for i in self._top(driftless) if i not in seen and i in found.best]
         counted = itertools.count()
 
-        def tried(which: tuple[Screen, int]) -> Refitted:
-            self.stage("refitting the best", next(counted), len(looks))
-            look, number = which
-            variant = look.variants[look.best[number]]
-            theta = self._polished(number, variant.theta, look.projected.whitener, base)
+        def refit(which: tuple[Screen, int]) -> Refitted:
+            self.stage("refitting the best", next(counted), len(chosen))
+            weighed, number = which
+            variant = weighed.variants[weighed.best[number]]
+            theta = self._polished(number, variant.theta, weighed.projected.whitener, base)
             columns = self._columns(number, theta)
             fit = self.fit(np.concatenate([base, columns], axis=1))
-            evidence = fit.log_likelihood - without.log_likelihood - self._cost(columns, variant.count)
-            evidence -= look.search_cost(number) + self._choice_cost(number)
+            evidence = fit.log_likelihood - current.log_likelihood - self._cost(columns, variant.count)
+            evidence -= weighed.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
             return Refitted(number, theta, columns, fit, evidence, *self._judged(number, fit.whitener, base, columns))
 
-        # What does worse on runs left out is no winner, whatever its evidence.
-        return sorted(each(tried, looks, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
+        # A candidate that predicts held-out runs worse is no winner, whatever its evidence.
+        return sorted(each(refit, chosen, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
 
-    def look(self, now: Whitener, base: Floats) -> Screen:
-        """Weigh all candidates beside columns, (m, p), under a noise; of very many readings on some."""
-        return screen(self.bank, self._looked(now, base))
+    def weigh(self, now: Whitener, base: Floats) -> Screen:
+        """Screen of all candidates beside columns, (m, p), under a noise; of very many readings, on some."""
+        return screen(self.bank, self._projected(now, base))
 
-    def first_look(self, projected: Projected) -> Screen:
-        """Weigh all candidates by all readings; columns are kept for the looks that follow."""
+    def weigh_all(self, projected: Projected) -> Screen:
+        """Screen of all candidates on all readings; keeps the columns for later screens."""
         return screen_all(self.bank, projected, lambda d, t: self.stage("weighing candidates", d, t))
 
-    def _looked(self, now: Whitener, base: Floats) -> Projected:
-        """The readings that are looked at, whitened, less columns, (m, p)."""
-        keep, few = self.few
-        return Projected.of(Whitener(few, now.noises, now.wides, now.least), base[keep], few.values)
+    def _projected(self, now: Whitener, base: Floats) -> Projected:
+        """The readings of a screen, whitened, less columns, (m, p)."""
+        keep, subset = self.subset
+        return Projected.of(Whitener(subset, now.noises, now.run_variances, now.least), base[keep], subset.values)
 
-    def second_look(self) -> Screen:
-        """The same weighing as if there were hardly any drift: the noise may have swallowed what is looked for."""
-        return self.look(self._calm, self.prepared.base)
+    def weigh_without_drift(self) -> Screen:
+        """The same screen under nearly no drift: the estimated noise may have absorbed a missing effect."""
+        return self.weigh(self._driftless, self.prepared.base)
 
     def fit(self, columns: Floats) -> Fit:
-        """Fit from the noise that was found, and from hardly any drift; the likelier of the two."""
-        # One round tells which is the likelier; the rest is for that alone.
-        starts = (self.prepared.whitener, self._calm)
+        """Fit from the estimated noise and from nearly no drift; the likelier of the two."""
+        # One round shows which is the likelier; only that one is iterated further.
+        starts = (self.prepared.whitener, self._driftless)
         best = max((fit_columns(w, columns, 1) for w in starts), key=lambda f: f.log_likelihood)
         return fit_columns(best.whitener, columns, ROUNDS - 1, values=best.values)
 
     @cached_property
-    def _calm(self) -> Whitener:
-        """The noise as if there were hardly any drift."""
+    def _driftless(self) -> Whitener:
+        """The noise with nearly no drift."""
         return without_drift(self.prepared.whitener)
 
     def beside(self, first: Refitted) -> list[Refitted]:
-        """The best beside an effect, each fitted together with it; the evidence is that of both."""
-        if first.number not in self._found_beside:
-            self._found_beside[first.number] = self._look_beside(first)
-        return self._found_beside[first.number]
+        """The best effects beside a first one, each fitted together with it; the evidence is that of both."""
+        if first.number not in self._refitted_beside:
+            self._refitted_beside[first.number] = self._refit_beside(first)
+        return self._refitted_beside[first.number]
 
-    def _look_beside(self, first: Refitted) -> list[Refitted]:
+    def _refit_beside(self, first: Refitted) -> list[Refitted]:
         width = self.prepared.base.shape[1]
         base = np.concatenate([self.prepared.base, first.columns], axis=1)
-        found = self.look(first.fit.whitener, base)
+        found = self.weigh(first.fit.whitener, base)
 
-        def tried(number: int) -> Refitted:
+        def refit(number: int) -> Refitted:
             variant = found.variants[found.best[number]]
             theta = self._polished(number, variant.theta, found.projected.whitener, base)
             columns = self._columns(number, theta)
@@ -406,27 +404,29 @@ class Refits:
             return Refitted(number, theta, columns, fit, evidence, *judged, base.shape[1])
 
         return self._with_rivals(
-            found, each(tried, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
+            found, each(refit, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
         )
 
     def _with_rivals(
-        self, found: Screen, tried: Sequence[Refitted], there: Sequence[tuple[str, str]]
+        self, found: Screen, refitted: Sequence[Refitted], there: Sequence[tuple[str, str]]
     ) -> list[Refitted]:
-        """The same, each with those of another name that are nearly as likely, or the same shape.
+        """The same, each with those of another name that are nearly as likely or have the same shape.
 
         Args:
-            found: all candidates beside what is there.
-            tried: those that were fitted.
-            there: effects and components that are there already.
+            found: screen of all candidates beside the effects in `there`.
+            refitted: these candidates, each with its fit.
+            there: effects and components that are already fitted.
         """
         out = []
-        for t in tried:
+        for t in refitted:
             others = {*there, self._name(t.number)}
-            out.append(replace(t, rivals=tuple(i for i in self._near(found, t, tried) if self._name(i) not in others)))
+            out.append(
+                replace(t, rivals=tuple(i for i in self._near(found, t, refitted) if self._name(i) not in others))
+            )
         return out
 
-    def _near(self, found: Screen, t: Refitted, tried: Sequence[Refitted]) -> list[int]:
-        near = {o.number for o in tried if o.holds and t.log_evidence - o.log_evidence < WITHIN}
+    def _near(self, found: Screen, t: Refitted, refitted: Sequence[Refitted]) -> list[int]:
+        near = {o.number for o in refitted if o.holds and t.log_evidence - o.log_evidence < WITHIN}
         shape, width = found.contribution(t.number), found.variants[found.best[t.number]].count
         least = found.score[t.number] - self._choice_cost(t.number) - WITHIN
         for number in found.order[:DISTINCT]:
@@ -437,20 +437,20 @@ class Refits:
         return [i for i in found.order if i in near]
 
     def chain(self, first: Refitted, bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
-        """An effect and those that the readings call for beside it, one after the other; evidence is that of all.
+        """An effect and those that the readings require beside it, one after the other; the evidence is that of all.
 
-        Each must be as sure as a first one, and lower the error on held-out runs by `MORE`.
+        Each must be as significant as a first one, and lower the error on held-out runs by `MORE`.
 
         Args:
             first: fitted beside the model.
-            bar: what the evidence of each must gain.
+            bar: least gain of evidence by each.
             may: which effects may be taken.
         """
         width, out = self.prepared.base.shape[1], [first]
         while len(out) < MOST_TOGETHER:
             last = out[-1]
-            found = self.look(without_drift(last.fit.whitener), last.fit.columns)
-            # One effect of one component twice, by two sensors, is that effect of a body that has none.
+            found = self.weigh(without_drift(last.fit.whitener), last.fit.columns)
+            # One effect of one component by two sensors is that effect of a body without a sensor of its own.
             there = [self._name(t.number) for t in out]
             order = [i for i in self._distinct(found) if may(self.candidates[i].effect) and self._name(i) not in there]
             more: list[Refitted] = []
@@ -479,23 +479,23 @@ class Refits:
         return effect.effect, effect.component
 
     def _cost(self, columns: Floats, count: int) -> float:
-        """What the numbers of a candidate cost: half the logarithm of the readings that decide each.
+        """Cost of a candidate's numbers: half the logarithm of the number of readings that determine each.
 
-        Of an effect that changes only from run to run the runs decide, however many readings each has.
+        An effect that changes only from run to run is determined by the runs, however many readings each has.
         """
-        return 0.5 * count * float(np.mean(np.log(effective(self.without.whitener, self.prepared.base, columns))))
+        return 0.5 * count * float(np.mean(np.log(effective(self.current.whitener, self.prepared.base, columns))))
 
     def _polished(self, number: int, theta: int, now: Whitener, base: Floats) -> Mapping[str, float]:
-        """Non-linear parameters of a candidate at their best beside a base, from those that were tried."""
+        """Non-linear parameters of a candidate, refined beside a base from the grid's values."""
         candidate = self.candidates[number]
-        return polished(candidate.effect, candidate.thetas, theta, self.few[1], lambda: self._looked(now, base))
+        return polished(candidate.effect, candidate.thetas, theta, self.subset[1], lambda: self._projected(now, base))
 
     def _columns(self, number: int, theta: Mapping[str, float]) -> Floats:
         """Columns of a candidate, (m, k)."""
         return live_columns(self.candidates[number].effect, theta, self.readings)
 
     def _top(self, found: Screen) -> list[int]:
-        """The best few of different kinds, and what the screen does not tell from the best."""
+        """The best few of different kinds, and those that the screen cannot distinguish from the best."""
         if not found.order:
             return []
         order = self._distinct(found)
@@ -506,8 +506,8 @@ class Refits:
         return list(dict.fromkeys([*top, *near]))[:MOST]
 
     def _distinct(self, found: Screen) -> list[int]:
-        """Candidates by evidence, each shape of an effect once: of components that the readings cannot tell apart
-        the most direct stands for all.
+        """Candidates by evidence, each shape of an effect once: the most direct of the components that the readings
+        cannot separate represents all.
         """
         machine, out = self.readings.machine, []
         shapes_of: dict[str, list[Floats]] = {}
@@ -522,16 +522,16 @@ class Refits:
         return out
 
     def beside_slopes(self, t: Refitted) -> float:
-        """Log evidence of a candidate where each run has a slope of its own along what moves in it.
+        """Log evidence of a candidate where each run has a slope of its own along each axis that moves in it.
 
-        Heat that no sensor recorded gives it that; what only follows these slopes is no more than heat may be.
+        Heat that no sensor recorded causes such slopes; an effect that only follows them may be such heat.
         """
         return self._evidence_beside(t, self.prepared.base, with_slopes(self.readings))
 
     def beside_files(self, t: Refitted) -> float | None:
         """Log evidence of a candidate where each file has a number of its own for the same shape at constant channels.
 
-        None where one file alone shows it, or where it reads nothing but positions, directions and time.
+        None where only one file shows it, or where it depends only on positions, directions and time.
         """
         readings, effect = self.readings, self.candidates[t.number].effect
         source = np.array([s.source for s in readings.series])[readings.series_of]
@@ -547,25 +547,25 @@ class Refits:
         return self._evidence_beside(t, base, readings)
 
     def _evidence_beside(self, t: Refitted, base: Floats, readings: Readings) -> float:
-        """Log evidence of a candidate beside other columns than those of the model, (m, p)."""
+        """Log evidence of a candidate beside columns other than the model's, (m, p)."""
         noise = find_noise(readings, base, least=self.prepared.whitener.least)
         without, with_it = (
             fit_columns(noise, c).log_likelihood for c in (base, np.concatenate([base, t.columns], axis=1))
         )
-        cost = t.fit.log_likelihood - self.without.log_likelihood - t.log_evidence
+        cost = t.fit.log_likelihood - self.current.log_likelihood - t.log_evidence
         return with_it - without - cost
 
     def at_instant(self, number: int) -> bool:
-        """Whether a candidate is something that happened at one instant."""
+        """Whether a candidate is an event at one instant."""
         return any(map(_instant, self.candidates[number].effect.nonlinear(self.readings.machine)))
 
     def jumps_again(self, t: Refitted) -> bool:
-        """Whether what happened at one instant happened at others too, at least half as large: a set-up that moves."""
+        """Whether an event at one instant repeats at others, at least half as large: a set-up that moves."""
         candidate = self.candidates[t.number]
         if not self.at_instant(t.number):
             return False
-        known = self._looked(without_drift(t.fit.whitener), t.fit.columns)
-        columns = [live_columns(candidate.effect, theta, self.few[1])[:, :1] for theta in candidate.thetas]
+        known = self._projected(without_drift(t.fit.whitener), t.fit.columns)
+        columns = [live_columns(candidate.effect, theta, self.subset[1])[:, :1] for theta in candidate.thetas]
         white = known.take_out(known.whitener(np.concatenate(columns, axis=1)))
         squares, along = np.sum(white**2, axis=0), white.T @ known.left
         best = int(np.argmax(along**2 / np.maximum(squares, 1e-12)))
@@ -573,24 +573,24 @@ class Refits:
         return bool(abs(along[best]) > AGAIN * abs(first) * max(float(squares[best]), 1e-12))
 
     def of_curves(self, curves: Sequence[Floats], searched: int) -> float:
-        """Log evidence of the best of several curves, (m, k) each, over the model as it is.
+        """Log evidence of the best of several curves, (m, k) each, over the current model.
 
         Args:
-            curves: one for each value of what was searched for.
-            searched: parameters that were searched for.
+            curves: one for each value of the searched parameters.
+            searched: number of searched parameters.
         """
         base, best = self.prepared.base, None
-        for noise in (self.prepared.whitener, self._calm):
+        for noise in (self.prepared.whitener, self._driftless):
             known = Projected.of(noise, base, self.readings.values)
             squares = [float(np.sum((orthonormal(known.take_out(noise(c))).T @ known.left) ** 2)) for c in curves]
             columns = curves[int(np.argmax(squares))]
             fit = self.fit(np.concatenate([base, columns], axis=1))
             gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + searched)
             best = gain if best is None else max(best, gain)
-        return (best or 0.0) - self.without.log_likelihood
+        return (best or 0.0) - self.current.log_likelihood
 
     def _judged(self, number: int, whitener: Whitener, beside: Floats, columns: Floats) -> tuple[float, float]:
-        """`left_out`; nothing falls with a wave that does not predict the targets that were held out.
+        """`held_out_gain`; the fall is zero for a wave that does not predict the held-out targets.
 
         Args:
             number: of the candidate.
@@ -598,26 +598,26 @@ class Refits:
             beside: columns without the candidate, (m, p).
             columns: beyond the current model, with it, (m, k).
         """
-        drop, gain = self.left_out(whitener, columns)
+        drop, gain = self.held_out_gain(whitener, columns)
         candidate = self.candidates[number]
         if drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, candidate.thetas):
             return 0.0, min(gain, 0.0)
         return drop, gain
 
-    def left_out(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
-        """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""
+    def held_out_gain(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
+        """Relative fall of the mean square on held-out runs, and the gain in whitened squares for each fold."""
         return held_out_gain(whitener, self.prepared.base, columns)
 
     @cached_property
-    def few(self) -> tuple[NDArray[np.bool_], Readings]:
-        """Which readings a look takes, (m,), and these."""
+    def subset(self) -> tuple[NDArray[np.bool_], Readings]:
+        """Which readings a screen uses, (m,), and these readings."""
         keep = looked_at(self.readings)
         return keep, self.readings if keep.all() else self.readings.without(~keep)
 
     def _choice_cost(self, number: int) -> float:
-        """What the choice among sensors takes off: every effect of a component is as likely before, whatever it takes.
+        """Cost of the choice among sensors: every effect of a component has the same prior, whatever sensors it takes.
 
-        Else an effect that may use any pair of eight sensors would be 28 times as likely as one that uses one.
+        Otherwise an effect of any pair of eight sensors would be 28 times as likely as one of a single sensor.
         """
         mine = self.candidates[number].effect
         return math.log(self.alternatives[mine.effect, mine.component])

@@ -1,4 +1,4 @@
-"""Drift from run to run (cycle to cycle) of a series, told beside the diagnosis: no error of the machine's geometry."""
+"""Drift from run to run (cycle to cycle) of a series; reported beside the diagnosis, for it is no geometric error."""
 
 import math
 
@@ -17,30 +17,30 @@ UNITS = {"um": "µm", "urad": "µrad"}
 
 
 def run_drifts(readings: Readings, left: Floats) -> tuple[str, ...]:
-    """Series whose runs wander steadily one way, in words.
+    """Series whose runs drift steadily in one direction, in words.
 
     Args:
         readings: the readings.
-        left: what the best fit leaves of them, in their unit, (m,).
+        left: residual of the best fit, in the unit of each reading, (m,).
     """
-    told = []
+    notes = []
     for s in readings.series:
         trend = _trend(s, left[s.part])
         if trend is not None and trend[1] < CHANCE:
             unit = UNITS.get(s.unit, s.unit)
             name = f"{readings.measurements[s.source].name} {s.column}"
             way = "rises" if trend[0] > 0.0 else "falls"
-            told.append(
+            notes.append(
                 f"drift between the runs (cycles) of {name}: their mean {way} steadily, by "
                 f"{significant(abs(trend[0]), 2)} {unit} from the first to the last. "
                 "An effect of geometry would be the same in each: suspect the zero, the "
                 "instrument, or heat that was not recorded"
             )
-    return tuple(told)
+    return tuple(notes)
 
 
 def _trend(series: Series, left: Floats) -> tuple[float, float] | None:
-    """Change of the runs' means from first to last along a straight line in time, and its probability by chance."""
+    """Change of the runs' means along a straight line in time, and its probability by noise alone."""
     from scipy.stats import t as student
 
     runs = int(series.run[-1]) + 1
@@ -59,19 +59,19 @@ def _trend(series: Series, left: Floats) -> tuple[float, float] | None:
 
 
 MEANS, PER_RUN = 0.01, 2
-"""Probability of such differences between runs by noise alone below which they differ; readings that a run needs."""
+"""Runs differ where noise alone makes such differences with less than this probability; readings that a run needs."""
 
 
 def runs_differ(readings: Readings, left: Floats, scale: Floats) -> tuple[float, int] | None:
-    """By how much the means of the runs differ beyond what their readings scatter by, and how many runs there are.
+    """Difference between the means of the runs beyond the scatter of their readings, and the number of runs.
 
     Args:
         readings: the readings.
-        left: what a fit leaves of them, (m,).
+        left: residual of a fit, (m,).
         scale: one over the unit of each series, (series,).
 
     Returns:
-        The largest of all series; None where no series' runs differ, or the zero of each run is unknown.
+        The largest of all series; None where the runs of no series differ, or the zero of each run is unknown.
     """
     from scipy.stats import f as fisher
 

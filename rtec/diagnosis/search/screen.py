@@ -1,12 +1,13 @@
 """Evidence for every candidate at once: whitened, the current model taken out, Zellner's g-prior.
 
-For a candidate with k columns of which the base leaves the orthonormal directions D, and the whitened readings r that
-the base leaves: `R² = |Dᵀr|² / |r|²`, and with g = n the log evidence over the base alone is
-`½ (n - k_B - k) ln(1 + n) - ½ (n - k_B) ln(1 + n (1 - R²))`  (Liang et al. 2008); over the values of its non-linear
-parameters that are tried it is the mean, which is what a search costs: much for a period, little for a time constant
-that the readings hardly decide.
+For a candidate with k columns, let D be the orthonormal directions that remain after the base is projected out, and r
+the whitened residual of the base. Then `R² = |Dᵀr|² / |r|²`, and with g = n the log evidence over the base alone is
+`½ (n - k_B - k) ln(1 + n) - ½ (n - k_B) ln(1 + n (1 - R²))`  (Liang et al. 2008). Over the grid of non-linear
+parameters it is the mean, which is the cost of a search: large for a period, small for a time constant that the
+readings hardly determine.
 
-Of very many readings all are weighed, and the directions of only some are kept: to draw chance, and to compare shapes.
+All readings are weighed. Of very many readings the directions of only some are kept, for random draws and for
+comparisons of shapes.
 """
 
 import itertools
@@ -28,18 +29,18 @@ Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Tell = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 ABSORBED = 2e-3
-"""A direction of which the base leaves less than this share of its norm is absorbed."""
+"""A direction is absorbed where the base leaves less than this share of its norm."""
 UNMOVED = 1e-3
-"""Readings that an effect of its usual size moves by less than this, µm or µrad, say nothing of it."""
+"""Readings that an effect of its usual size moves by less than this, µm or µrad, give no information about it."""
 CHUNK, NUMBERS = 96, 1_000_000
-"""Columns that are whitened together at the most, and how many numbers these may be: more leave the fast memory."""
+"""Columns that are whitened together at most, and how many numbers these may hold to fit into the cache."""
 
 
 @dataclass(frozen=True)
 class Projected:
-    """The whitened base, taken out of everything.
+    """Whitened readings less the base, and the basis that removes it from columns.
 
     Attributes:
         whitener: the noise.
@@ -64,12 +65,12 @@ class Projected:
 
     @cached_property
     def squares(self) -> float:
-        """Sum of squares of what is left."""
+        """Sum of squares of the whitened residual."""
         return float(self.left @ self.left)
 
     @cached_property
     def freedom(self) -> float:
-        """Readings less everything found from them."""
+        """Readings less all numbers estimated from them."""
         readings = self.whitener.readings
         lost = sum(s.nuisance.shape[1] * (int(s.run[-1]) + 1) for s in readings.series)
         return float(max(len(readings) - self.q.shape[1] - lost, 4))
@@ -95,13 +96,13 @@ class Variant:
     squares: Floats
 
 
-Looked = list[tuple[Variant, Single, Floats]]
+WeighedChunk = list[tuple[Variant, Single, Floats]]
 """Variants of a chunk, each with its directions at the readings that are kept, (kept, count), and their products."""
 
 
 @dataclass(frozen=True)
 class Screen:
-    """What the readings say for every candidate.
+    """Evidence of the readings for every candidate.
 
     Attributes:
         projected: readings, whitened, less the base.
@@ -110,7 +111,7 @@ class Screen:
         directions: orthonormal directions of all, at the readings that are kept, (kept, columns).
         along: inner product of each direction with the whitened residual, over all readings, (columns,).
         log_evidence: of each variant, (variants,).
-        absorbed: candidates of which the base leaves nothing.
+        absorbed: candidates that the base absorbs entirely.
     """
 
     projected: Projected
@@ -134,14 +135,14 @@ class Screen:
 
     @cached_property
     def score(self) -> dict[int, float]:
-        """Log evidence of each candidate: the mean over what was tried of its non-linear parameters."""
+        """Log evidence of each candidate: the mean over the grid of its non-linear parameters."""
         if not self.variants:
             return {}
         means = mean_evidence(self.log_evidence[:, None], self.starts)[:, 0]
         return {self.variants[first].candidate: float(v) for first, v in zip(self.starts, means, strict=True)}
 
     def search_cost(self, candidate: int) -> float:
-        """What the search for non-linear parameters takes off the evidence of the best of them."""
+        """Cost of the search for non-linear parameters: the best log evidence less the mean."""
         return float(self.log_evidence[self.best[candidate]] - self.score[candidate])
 
     @cached_property
@@ -165,14 +166,14 @@ class Screen:
         return np.asarray(self.directions[:, part].astype(np.float64) @ self.along[part])
 
     def family_p(self, draws: int, rng: np.random.Generator) -> tuple[float, Floats]:
-        """Probability that chance alone makes the best of all look as good, and the evidences that chance made.
+        """Probability that noise alone gives an equally good best candidate, and the evidences of the random draws.
 
-        Draws white noise, takes the base out, and takes the best evidence over the whole library each time.
+        Each draw is white noise less the base; its best evidence over the whole library counts.
         """
         if not self.variants:
             return 1.0, np.zeros(0)
         tops = []
-        # Readings that are not kept are noise beside the directions; those that are kept stand for all.
+        # Readings that are not kept are noise beside the directions; the kept ones represent all.
         rest = max(len(self.projected.left) - len(self.directions) - self.projected.q.shape[1], 0)
         directions, base = self.directions, None
         if rest:
@@ -210,12 +211,12 @@ class Chunk:
 
 
 class Bank:
-    """Columns of all candidates, made by the first look and kept for those that follow.
+    """Columns of all candidates, computed by the first screen and kept for later ones.
 
     Args:
         readings: all.
-        candidates: what is looked for.
-        keep: at which readings columns are kept, (m,): all where they are not many.
+        candidates: effects that are searched.
+        keep: at which readings columns are kept, (m,): all, unless they are many.
     """
 
     def __init__(self, readings: Readings, candidates: Sequence[EffectCandidate], keep: Bools) -> None:
@@ -225,7 +226,7 @@ class Bank:
         self.usual = [np.array([p.typical for p in c.effect.coefficients(machine)]) for c in candidates]
 
     def groups(self) -> list[list[tuple[int, int]]]:
-        """Candidates and numbers of their values whose columns are made together."""
+        """Candidates and numbers of their grid values whose columns are computed together."""
         most = min(CHUNK, NUMBERS // max(len(self.readings), 1) + 1)
         out: list[list[tuple[int, int]]] = [[]]
         width = 0
@@ -239,12 +240,12 @@ class Bank:
         return out
 
     def made(self, group: Sequence[tuple[int, int]]) -> Chunk | None:
-        """Make the columns of a group at all readings; None where none can be made."""
+        """Columns of a group at all readings; None where none can be computed."""
         made = {which: columns for which in group if (columns := self._columns(*which)) is not None}
         return _chunk(list(made), list(made.values())) if made else None
 
     def kept(self, chunk: Chunk) -> Chunk:
-        """Columns at the readings where they are kept."""
+        """Columns at the kept readings."""
         return chunk if self.keep.all() else replace(chunk, columns=chunk.columns[self.keep])
 
     def _columns(self, number: int, theta: int) -> Floats | None:
@@ -252,7 +253,7 @@ class Bank:
         try:
             columns = self.readings.columns(candidate.effect, candidate.thetas[theta])
         except ModelError:
-            return None  # a measurement that sees the component lacks a channel: told by `library`
+            return None  # a measurement that sees the component lacks a channel: reported by `library`
         return columns if np.isfinite(columns).all() else None
 
 
@@ -261,41 +262,41 @@ def _chunk(which: Sequence[tuple[int, int]], columns: Sequence[Floats]) -> Chunk
 
 
 def screen(bank: Bank, projected: Projected) -> Screen:
-    """Weigh every candidate by the readings whose columns were kept.
+    """Weigh every candidate by the kept readings.
 
     Args:
-        bank: what is weighed; made already.
-        projected: the noise of these readings, and the current model to be taken out.
+        bank: the candidates; their columns are already computed.
+        projected: the whitened readings less the current model.
     """
     weighed = _Weighed(bank, projected, None)
     for chunk in bank.chunks:
-        weighed.take(weighed.look(chunk))
+        weighed.append(weighed.weigh(chunk))
     return weighed.screen()
 
 
-def screen_all(bank: Bank, projected: Projected, tell: Tell | None = None) -> Screen:
+def screen_all(bank: Bank, projected: Projected, progress: Progress | None = None) -> Screen:
     """Weigh every candidate by all readings.
 
     Args:
-        bank: what is weighed; its columns are made, and kept.
-        projected: the noise of all readings, and the current model to be taken out.
-        tell: told how many are done, and of how many.
+        bank: the candidates; their columns are computed and kept.
+        projected: the whitened readings less the current model.
+        progress: called with the candidates done and in total.
     """
     weighed = _Weighed(bank, projected, None if bank.keep.all() else bank.keep)
     groups = bank.groups()
     total, counted = sum(map(len, groups)), itertools.count()
 
-    def looked(group: Sequence[tuple[int, int]]) -> tuple[Chunk, Looked] | None:
+    def weigh(group: Sequence[tuple[int, int]]) -> tuple[Chunk, WeighedChunk] | None:
         chunk = bank.made(group)
-        if tell:
-            tell(sum(map(len, groups[: next(counted) + 1])), total)
-        return None if chunk is None else (bank.kept(chunk), weighed.look(chunk))
+        if progress:
+            progress(sum(map(len, groups[: next(counted) + 1])), total)
+        return None if chunk is None else (bank.kept(chunk), weighed.weigh(chunk))
 
     bank.chunks = []
-    for found in each(looked, groups, len(projected.left)):
+    for found in each(weigh, groups, len(projected.left)):
         if found is not None:
             bank.chunks.append(found[0])
-            weighed.take(found[1])
+            weighed.append(found[1])
     return weighed.screen()
 
 
@@ -324,27 +325,27 @@ def orthonormal(columns: Floats) -> Floats:
     value, vector = np.linalg.eigh(gram)
     good = value > 1e-9 * value[-1]
     q = kept @ (vector[:, good] / np.sqrt(value[good]))
-    # Once more: what the Gram matrix lost in precision comes back.
+    # A second pass restores the precision that the Gram matrix lost.
     return np.asarray(np.linalg.qr(q)[0], dtype=np.float64)
 
 
 class _Weighed:
-    """Directions of all variants, worked out chunk by chunk, those of one width together."""
+    """Directions of all variants, computed chunk by chunk, those of equal width together."""
 
     def __init__(self, bank: Bank, projected: Projected, keep: Bools | None) -> None:
         self.bank, self.projected, self.keep = bank, projected, keep
         self.variants: list[Variant] = []
         most = sum(len(c.thetas) * len(u) for c, u in zip(bank.candidates, bank.usual, strict=True))
         rows = len(projected.left) if keep is None else int(keep.sum())
-        # What is kept stands for all.
+        # The kept readings represent all.
         self.more = math.sqrt(len(projected.left) / rows)
-        # Column by column in memory, filled as they come: two copies of these would be most of what a search takes.
+        # Column-major memory, filled chunk by chunk: two copies of it would be most of a search's memory.
         self.directions: Single = np.empty((rows, most), dtype=np.float32, order="F")
         self.along: Floats = np.empty(most)
         self.width = 0
 
     def screen(self) -> Screen:
-        """What comes of it."""
+        """The screen of all variants added so far."""
         projected, variants, along = self.projected, tuple(self.variants), self.along[: self.width]
         r2 = _sums((along**2)[:, None], variants)[:, 0] / max(projected.squares, 1e-300)
         counts = np.array([v.count for v in variants], dtype=np.int64)
@@ -355,8 +356,8 @@ class _Weighed:
             projected, self.bank.candidates, variants, self.directions[:, : self.width], along, found, absorbed
         )
 
-    def look(self, chunk: Chunk) -> Looked:
-        """Weigh the variants of a chunk, beside others."""
+    def weigh(self, chunk: Chunk) -> WeighedChunk:
+        """Weigh the variants of a chunk; other chunks may be weighed at the same time."""
         first = np.cumsum(chunk.widths) - chunk.widths
         usual = np.concatenate([self.bank.usual[int(i)] for i in chunk.which[:, 0]])
         parts = [chunk.columns[s.part] for s in self.projected.whitener.readings.series]
@@ -386,9 +387,9 @@ class _Weighed:
             out.append((variant, (kept[:, part] @ turn).astype(np.float32), products))
         return out
 
-    def take(self, looked: Looked) -> None:
-        """Put what a chunk showed behind what the chunks before it did."""
-        for variant, directions, products in looked:
+    def append(self, weighed: WeighedChunk) -> None:
+        """Append the result of a chunk to those of earlier chunks."""
+        for variant, directions, products in weighed:
             here = slice(self.width, self.width + variant.count)
             self.variants.append(replace(variant, first=self.width))
             self.directions[:, here] = directions
@@ -397,11 +398,11 @@ class _Weighed:
 
 
 def _turns(gram: Floats, at: Ints) -> list[Floats]:
-    """How columns turn into orthonormal directions, (k, count) each.
+    """Matrices that turn columns into orthonormal directions, (k, count) each.
 
     Args:
-        gram: inner products of columns less the base, over their norm before, (columns, columns).
-        at: which columns are those of each variant, (variants, k).
+        gram: inner products of columns less the base, divided by their norms before, (columns, columns).
+        at: column numbers of each variant, (variants, k).
     """
     value, vector = np.linalg.eigh(gram[at[:, :, None], at[:, None, :]])
     return [b[:, a > ABSORBED**2] / np.sqrt(a[a > ABSORBED**2]) for a, b in zip(value, vector, strict=True)]

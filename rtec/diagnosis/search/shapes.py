@@ -1,9 +1,8 @@
-"""Shapes without a name: what any smooth or periodic dependence on one or two variables would explain.
+"""Shapes without a name: the part of the residual that any smooth or periodic law of one or two variables explains.
 
-They judge whether the best effect of the catalogue is good enough (adequacy), and where none is, they say on which
-variables the error depends, whether smoothly or periodically, and with which period. `shapes_search` weighs them.
-
-Weighs every shape without a name against the readings: curves, surfaces, waves, and waves that grow.
+They show whether the best effect of the catalogue is good enough (adequacy). Where none is, they show on which
+variables the error depends, whether smoothly or periodically, and with which period. Shapes are curves, surfaces,
+waves, and waves that grow.
 """
 
 import itertools
@@ -25,17 +24,17 @@ Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 LEVELS = 8
-"""A variable with at most so many values is taken level by level."""
+"""A variable with at most this many values gets a column for each level."""
 MOVED = 0.1
-"""Speeds that differ by less than this, octaves, are one."""
+"""Speeds that differ by less than this, in octaves, are equal."""
 
 
 @dataclass(frozen=True)
 class LocalPlace:
-    """Where a hump or a step is.
+    """Place of a hump or a step.
 
     Attributes:
-        form: which of the two.
+        form: hump or step.
         centre, width: in the unit of the variable.
     """
 
@@ -55,14 +54,14 @@ def local_curve(form: Literal["hump", "step"], u: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Shape:
-    """A smooth or periodic dependence.
+    """A smooth or periodic dependence of the readings on variables.
 
     Attributes:
-        group: reading columns that it acts on, as told to people.
-        over: its variables, as `Ground.known` names them.
-        fine: basis functions along each; of a periodic one, powers of the variable that its height changes with.
-        period: of a periodic one, in the unit of its first variable; None for a smooth one.
-        place: of a hump or a step, where it is; None for anything else.
+        group: reading columns that it acts on, in words for people.
+        over: its variables, by their names in `Ground.known`.
+        fine: number of basis functions along each; of a periodic shape, powers of the variable that changes its height.
+        period: of a periodic shape, in the unit of its first variable; None for a smooth one.
+        place: of a hump or a step; None for anything else.
     """
 
     group: str
@@ -73,7 +72,7 @@ class Shape:
 
     @property
     def searched(self) -> int:
-        """Non-linear parameters that were searched for."""
+        """Number of non-linear parameters that were searched."""
         return 2 if self.place is not None else int(self.period is not None)
 
     @property
@@ -88,12 +87,12 @@ class Shape:
 
 
 def plain_name(variable: str) -> str:
-    """The channel of a variable: |v_x| is made of v_x."""
+    """Channel of a variable: |v_x| is derived from v_x."""
     return variable.strip("|")
 
 
 class Ground:
-    """Readings that shapes are drawn over.
+    """Readings with the variables that shapes depend on.
 
     Attributes:
         readings: the readings.
@@ -106,7 +105,7 @@ class Ground:
 
     @cached_property
     def known(self) -> Mapping[str, Floats]:
-        """What shapes depend on, by name, (m,) each."""
+        """Variables of shapes, by name, (m,) each."""
         return variables(self.readings)
 
     @cached_property
@@ -130,7 +129,7 @@ class Ground:
     def block(self, shapes: Sequence[Shape]) -> tuple[Floats, Ints]:
         """Columns of several shapes side by side, (m, columns), and how many each has, (shapes,).
 
-        They are kept, for the same shapes are looked at under each noise.
+        They are kept, for every noise weighs the same shapes.
         """
         key = tuple(shapes)
         if key not in self._blocks:
@@ -138,7 +137,7 @@ class Ground:
         return self._blocks[key]
 
     def _made(self, shapes: Sequence[Shape]) -> tuple[Floats, Ints]:
-        """Plain waves along one variable are worked out at once, and so are humps and steps: there are hundreds."""
+        """Waves along one variable, humps and steps are computed together: there are hundreds."""
         if len({(s.group, s.over, s.place and s.place.form, s.period is None) for s in shapes}) == 1:
             value, mask = self.known[shapes[0].over[0]][:, None], self.groups[shapes[0].group][:, None]
             places = [s.place for s in shapes if s.place is not None]
@@ -189,7 +188,7 @@ def variables(readings: Readings) -> dict[str, Floats]:
 
 
 def _octaves(velocity: Floats) -> Floats:
-    """Speed whatever the direction, on a logarithmic scale: what comes with speed comes over decades of it."""
+    """Speed without direction, on a logarithmic scale: effects of speed extend over decades of it."""
     speed = np.abs(velocity)
     least = max(float(np.quantile(speed, 0.05)), 1e-3 * float(speed.max()), 1e-9)
     return np.asarray(np.log2(np.maximum(speed, least)))
@@ -235,31 +234,31 @@ def _ramp(u: Floats, knot: float, end: float) -> Floats:
 
 
 LINE, FINE, PLANE, LEAN = 6, 14, 4, 2
-"""Basis functions of a curve over one variable, coarse and fine, and along each side of a surface over two, and of a
-lean one."""
+"""Number of basis functions of a curve over one variable, coarse and fine, and along each side of a surface over two
+variables and of a simple surface."""
 PAIRS = 8
-"""Pairs of variables, the best by their tilted planes, that get a lean surface."""
+"""Number of pairs of variables, the best by their tilted planes, that get a simple surface."""
 DETAIL, BEND = 9, 2
-"""Basis functions of a fine curve along a position, and of how it changes with another variable."""
+"""Number of basis functions of a fine curve along a position, and of its change with another variable."""
 OWN, OTHER = 2, 1
-"""Powers of its own place, or of another variable, that the height of a wave changes with."""
+"""Powers of a wave's own position, or of another variable, that its height changes with."""
 PERIODS = 240
 CYCLES = (2.5, 0.2)
-"""A period must be seen so often at least; and be longer than this many typical steps."""
+"""Fewest periods in the span; a period is longer than this many typical steps."""
 LEADERS = 6
-"""Variables that go into surfaces over two."""
+"""Number of variables that surfaces over two combine."""
 CHUNK = 96
 """Columns that are whitened together."""
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """A shape and what it explains.
+    """A shape and the part of the readings that it explains.
 
     Attributes:
-        shape: which.
-        count: numbers that it has, once what the base absorbs is left out.
-        explained: sum of squares beyond chance, in units of the noise variance.
+        shape: the shape.
+        count: its numbers that the base does not absorb.
+        explained: sum of squares beyond noise alone, in units of the noise variance.
         log_evidence: over the base alone.
     """
 
@@ -270,7 +269,7 @@ class Weighed:
 
 
 def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
-    """Every shape: curves, surfaces, waves, and waves that grow with another variable; best first."""
+    """All shapes: curves, surfaces, waves, and waves that grow with another variable; best first."""
     out: list[Weighed] = []
     for group, mask in ground.groups.items():
         lines = weigh_all(ground, projected, _lines(group, ground))
@@ -299,7 +298,7 @@ def weigh(projected: Projected, columns: Floats, searched: int = 0) -> tuple[int
     Args:
         projected: the readings, less the base.
         columns: in the unit of the readings, (m, k).
-        searched: non-linear parameters that were searched for.
+        searched: number of non-linear parameters that were searched.
     """
     white = projected.whitener(columns)
     found = _weigh(projected, norms(white)[None], projected.take_out(white).T[None])
@@ -307,12 +306,12 @@ def weigh(projected: Projected, columns: Floats, searched: int = 0) -> tuple[int
 
 
 def weigh_all(ground: Ground, projected: Projected, shapes: Iterable[Shape]) -> list[Weighed]:
-    """Weigh shapes, whitening several at a time, and working out those of one width together; best first."""
+    """Weigh shapes, several whitened at a time and those of equal width together; best first."""
     out: list[Weighed] = []
     for chunk in _chunks(shapes):
         columns, widths = ground.block(chunk)
         white = projected.whitener(columns)
-        # One column after the other in memory: those of a shape are taken out together.
+        # Column-major memory: the columns of one shape are sliced together.
         before, left = norms(white), np.ascontiguousarray(projected.take_out(white).T)
         first = np.cumsum(widths) - widths
         for width in np.unique(widths):
@@ -347,7 +346,7 @@ def _weigh(projected: Projected, before: Floats, left: Floats) -> list[tuple[int
     Args:
         projected: the readings, less the base.
         before: norms of the whitened columns, (shapes, k).
-        left: these columns less the base, (shapes, k, m).
+        left: the same columns less the base, (shapes, k, m).
     """
     scaled = left / np.where(before > 0, before, 1.0)[:, :, None]
     value, vector = np.linalg.eigh(scaled @ scaled.transpose(0, 2, 1))
@@ -375,24 +374,24 @@ def _pairs(group: str, pairs: Iterable[Sequence[str]], one: int, two: int) -> It
 
 
 def _leading(ground: Ground, leaders: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Pairs of those that lead, and of these with directions."""
+    """Pairs of leading variables, and of these with directions."""
     directions = [n for n in ground.known if n.startswith("d_") and n not in leaders]
     return itertools.combinations([*leaders, *directions], 2)
 
 
 def _along(ground: Ground, moving: Sequence[str], leaders: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Positions, each with what a fine curve along it may change with."""
+    """Positions, each with a variable that may change a fine curve along it."""
     with_it = {*leaders, "load_kg", "spindle_rpm", *moving, *(n for n in ground.known if n.startswith("|"))}
     return ((a, b) for a in moving for b in ground.known if b in with_it)
 
 
 def _waves(ground: Ground, projected: Projected, group: str, moving: Sequence[str]) -> list[Weighed]:
-    """Waves along positions; the best of each also growing with another variable, or along its own place."""
+    """Waves along positions; the best of each also with a height that grows with another variable or its position."""
     out: list[Weighed] = []
     mask = ground.groups[group]
     for name in moving:
-        tried = (Shape(group, (name,), (0,), float(p)) for p in periods(ground.known[name][mask]))
-        found = weigh_all(ground, projected, tried)
+        waves = (Shape(group, (name,), (0,), float(p)) for p in periods(ground.known[name][mask]))
+        found = weigh_all(ground, projected, waves)
         grown = [
             Shape(group, (name, other), (0, OWN if other == name else OTHER), w.shape.period)
             for w in found[:1]
@@ -403,7 +402,7 @@ def _waves(ground: Ground, projected: Projected, group: str, moving: Sequence[st
 
 
 CENTRES, WIDTHS, NARROWEST, WIDEST = 24, 6, 0.01, 0.3
-"""Places and widths of humps and steps that are tried, and the widths' ends as shares of the span."""
+"""Number of places and widths of humps and steps in the grid, and the limits of the widths as shares of the span."""
 HALVINGS = 3
 
 
@@ -436,7 +435,7 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
 
 
 def periods(value: Floats) -> Floats:
-    """Periods worth trying over a variable."""
+    """Grid of periods over a variable, in its unit."""
     places = np.unique(np.round(value, 6))
     span = float(np.ptp(value))
     if len(places) < 6 or span <= 0:
@@ -446,6 +445,6 @@ def periods(value: Floats) -> Floats:
     shortest = max(2.05 * step, span / (0.5 * PERIODS))
     if shortest >= longest:
         return np.zeros(0)
-    # Even in frequency: as fine as the span can tell.
+    # Even in frequency: as fine as the span can resolve.
     count = min(int(3.0 * span * (1.0 / shortest - 1.0 / longest)) + 2, PERIODS)
     return np.asarray(1.0 / np.linspace(1.0 / longest, 1.0 / shortest, count))

@@ -1,4 +1,4 @@
-"""The best shapes without a name: picked in a first look, then fitted along with the model and a noise found anew."""
+"""The best shapes without a name: preselected by a screen, then fitted with the model and a re-estimated noise."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,14 +17,14 @@ from rtec.parallel import each
 Floats = NDArray[np.float64]
 
 RICH, LEAN, PLAIN = 10**6, 8, 3
-"""Numbers that shapes have at most: any, lean and plain ones."""
+"""Largest number of coefficients of any, simple and plain shapes."""
 SHAPES = 4
-"""Shapes without a name that are fitted anew, of each of the two looks; half as many lean and plain ones."""
+"""Shapes without a name that are refitted from each of the two screens; half as many simple and plain ones."""
 
 
 @dataclass(frozen=True)
 class Shaped:
-    """A shape without a name, fitted along with the current model and a noise found anew."""
+    """A shape without a name, fitted with the current model and a re-estimated noise."""
 
     shape: Shape
     columns: Floats
@@ -35,7 +35,7 @@ class Shaped:
 
     @property
     def holds(self) -> bool:
-        """Whether runs that were left out get better."""
+        """Whether held-out runs are predicted better."""
         return self.gain > 0.0 and self.drop > 0.0
 
 
@@ -44,53 +44,53 @@ def best_shapes(
     base: Floats,
     noises: Sequence[Whitener],
     fit: Callable[[Floats], Fit],
-    without: Fit,
-    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+    current: Fit,
+    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
 ) -> list[Shaped]:
-    """Fit the most promising.
+    """Fit the most promising shapes without a name.
 
     Args:
         readings: the readings.
         base: columns of the current model, (m, p).
-        noises: under each of which a first look is taken.
+        noises: each gives a screen.
         fit: fits columns and the noise together.
-        without: the fit of the base alone.
-        left_out: fall of the mean square on runs left out, and whitened gain, that columns beside the base bring.
+        current: the fit of the base alone.
+        held_out_gain: relative fall of the mean square on held-out runs, and whitened gain, by columns beside the base.
 
     Returns:
-        Those that make runs left out better.
+        Shapes that predict held-out runs better.
     """
     keep = looked_at(readings)
-    few = readings if keep.all() else readings.without(~keep)
+    subset = readings if keep.all() else readings.without(~keep)
     whole = Ground(readings)
-    ground = whole if few is readings else Ground(few)
+    ground = whole if subset is readings else Ground(subset)
 
-    def look(whitener: Whitener) -> list[Weighed]:
-        thin = Whitener(few, whitener.noises, whitener.wides, whitener.least)
-        return all_shapes(ground, Projected.of(thin, base[keep], few.values))
+    def weighed(whitener: Whitener) -> list[Weighed]:
+        thin = Whitener(subset, whitener.noises, whitener.run_variances, whitener.least)
+        return all_shapes(ground, Projected.of(thin, base[keep], subset.values))
 
-    looks = each(look, noises, len(readings))
-    searched = math.log(max(len(looks[0]), 2))
+    screens = each(weighed, noises, len(readings))
+    searched = math.log(max(len(screens[0]), 2))
 
     def shaped(w: Weighed) -> Shaped:
         columns = whole.columns(w.shape)
         found = fit(np.concatenate([base, columns], axis=1))
-        evidence = found.log_likelihood - without.log_likelihood
+        evidence = found.log_likelihood - current.log_likelihood
         local = w.shape.searched if w.shape.place is not None else 0
         evidence -= 0.5 * (w.count + local) * math.log(len(readings)) + searched
-        return Shaped(w.shape, columns, found, evidence, *left_out(found.whitener, columns))
+        return Shaped(w.shape, columns, found, evidence, *held_out_gain(found.whitener, columns))
 
-    return [s for s in each(shaped, _picked(looks), len(readings)) if s.holds]
+    return [s for s in each(shaped, _picked(screens), len(readings)) if s.holds]
 
 
-def _picked(looks: Sequence[Sequence[Weighed]]) -> list[Weighed]:
-    """The best of each look that are likelier than nothing there.
+def _picked(screens: Sequence[Sequence[Weighed]]) -> list[Weighed]:
+    """The best shapes of each screen that are likelier than nothing.
 
-    Rich ones win where the drift is supposed to be small, and lose again with the noise found anew: the lean get their
-    chance.
+    Complex shapes win where the drift is assumed small, and lose again with the re-estimated noise. So some simple
+    shapes are always kept.
     """
     picked: dict[tuple[str, tuple[str, ...], str, int], Weighed] = {}
-    for weighed in looks:
+    for weighed in screens:
         likely = [w for w in weighed if w.log_evidence > 0.0]
         for most, few in ((RICH, SHAPES), (LEAN, SHAPES // 2), (PLAIN, SHAPES // 2)):
             fresh = 0
@@ -110,7 +110,7 @@ def _richness(w: Weighed) -> int:
 
 
 LOSES = 0.05
-"""A variable is named only where the mean square on held-out runs without it is larger by more than this share."""
+"""A variable is named only where the held-out mean square without it is larger by more than this share."""
 
 
 def without_idle(
@@ -119,36 +119,36 @@ def without_idle(
     readings: Readings,
     base: Floats,
     fit: Callable[[Floats], Fit],
-    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
 ) -> Shaped:
-    """The best shape, or one of a single variable of its where the other costs nothing to drop.
+    """The best shape, or one of only one of its variables where the other does not improve held-out runs.
 
     Args:
         top: the best shape.
-        others: shapes that were fitted too.
+        others: the other refitted shapes.
         readings: the readings.
         base: columns of the current model, (m, p).
-        fit, left_out: as for `best_shapes`.
+        fit, held_out_gain: as for `best_shapes`.
     """
     ground = Ground(readings)
     if len(top.shape.variables) < 2:
-        return _instead_of_time(top, ground, base, fit, left_out)
+        return _instead_of_time(top, ground, base, fit, held_out_gain)
     alone = [t for t in others if t.shape.group == top.shape.group and len(t.shape.variables) == 1]
     found = [t for t in alone if t.shape.variables[0] in top.shape.variables]
     for name in top.shape.over:
         shape = Shape(top.shape.group, (name,), (FINE,))
         columns = ground.columns(shape)
         made = fit(np.concatenate([base, columns], axis=1))
-        found.append(Shaped(shape, columns, made, top.log_evidence, *left_out(made.whitener, columns)))
+        found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
     best = max(found, key=lambda t: t.drop)
     if 1.0 - best.drop > (1.0 + LOSES) * (1.0 - top.drop):
         return top
-    return _instead_of_time(best, ground, base, fit, left_out)
+    return _instead_of_time(best, ground, base, fit, held_out_gain)
 
 
 RISES, AS_GOOD = 0.9, 0.6
-"""Rank correlation with time from which on a temperature rises with it; and the share of the gain in log likelihood
-that it must bring to be named in its place."""
+"""From this rank correlation with time on, a temperature rises with it; it must bring this share of the gain in log
+likelihood to be named in place of time."""
 
 
 def _instead_of_time(
@@ -156,11 +156,11 @@ def _instead_of_time(
     ground: Ground,
     base: Floats,
     fit: Callable[[Floats], Fit],
-    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
 ) -> Shaped:
-    """A temperature that rises with time in place of time itself, where it explains about as much: time causes nothing.
+    """A temperature that rises with time in place of time where it explains about as much: time itself is no cause.
 
-    In a record that only warms up the two cannot be told apart.
+    A record that only warms up cannot distinguish the two.
     """
     if top.shape.variables != ("time_s",) or top.shape.period is not None:
         return top
@@ -177,12 +177,12 @@ def _instead_of_time(
         columns = ground.columns(shape)
         made = fit(np.concatenate([base, columns], axis=1))
         if made.log_likelihood - without > AS_GOOD * (top.fit.log_likelihood - without):
-            found.append(Shaped(shape, columns, made, top.log_evidence, *left_out(made.whitener, columns)))
+            found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
     return max(found[1:], key=lambda t: t.fit.log_likelihood, default=top)
 
 
 def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Readings) -> float:
-    """What columns explain over what the best shape explains, under the noise of each shape.
+    """Part that columns explain, as a share of what the best shape explains, under the noise of each shape.
 
     Args:
         columns: of the effect, (m, k).

@@ -1,1 +1,1 @@
-"""The fit of very many readings: one walk through them, and normal equations that are kept block by block."""
+"""The fit of very many readings: one pass through them, and normal equations block by block."""

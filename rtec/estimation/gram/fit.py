@@ -21,14 +21,14 @@ from rtec.estimation.robust import huber, settled, sigmas
 Floats = NDArray[np.float64]
 
 ROUNDS = 6
-"""At most so many fits, each with the weights that the one before found."""
+"""Most fits, each with the weights from the one before."""
 BEYOND = 0.025
-"""What is to lie beyond twice a standard error, on one side."""
+"""Probability beyond twice a standard error, on one side."""
 LEAST_FREEDOM = 3.0
 SAME = 0.2
-"""Noise of columns that changed against each other by less than this share is not worth another fit."""
+"""A smaller relative change of the noise of columns against each other is not worth another fit."""
 FEWER = 10_000
-"""A first look at very many readings takes so many instants."""
+"""Number of instants of a first fit to very many readings."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ class Estimate:
     def errors(self) -> Floats:
         """Standard errors of the coefficients, then of the parameters that are on no bound.
 
-        Widened where few blocks tell of a number, by Student's quantile over the normal one, so that twice an error
-        holds what it is believed to hold, 95 %. What a common lag of the axes may have added to a number counts, too.
+        Widened where few blocks determine a number, by Student's quantile over the normal one, so that twice an error
+        covers 95 %. It includes what a common lag of the axes may have added to a number.
         """
         normal, width = self.found.normal, self.found.normal.width
         variance = np.diag(normal.covariance(normal.values()))[:width]
@@ -76,7 +76,7 @@ class Estimate:
 
     @cached_property
     def undetermined(self) -> list[int]:
-        """Terms of which only the sum with others is known, by number."""
+        """Terms, by number, of which only the sum with others is determined."""
         normal, width = self.found.normal, self.found.normal.width
         values = np.append(self.values[: self.linear.width], np.zeros(width - self.linear.width))
         terms = np.array([*range(len(self.terms)), *(self.terms.index(s.term) for s in self.found.slopes)])
@@ -90,7 +90,7 @@ class Estimate:
 
     @cached_property
     def by_common_lag(self) -> Floats:
-        """What a lag of all axes that no reading shows may have added to each coefficient of the terms."""
+        """Possible contribution of a lag of all axes, which no reading shows, to each coefficient of the terms."""
         return shift_by_common_lag(self.sources, self.terms, self.values)
 
     @cached_property
@@ -105,7 +105,7 @@ class Estimate:
 
     @property
     def held_out(self) -> float:
-        """The same on blocks that were left out of the fit."""
+        """The same on held-out blocks."""
         return self.rms(self.cells[0])
 
     def rms(self, squares: Floats, source: int | None = None) -> float:
@@ -116,7 +116,7 @@ class Estimate:
 
 
 def widening(blocks: Floats) -> Floats:
-    """How much wider a standard error is when it comes from so many blocks."""
+    """Factor by which a standard error from this many blocks is wider."""
     from scipy.special import ndtri, stdtrit
 
     freedom = np.maximum(blocks - 1.0, LEAST_FREEDOM)
@@ -126,19 +126,19 @@ def widening(blocks: Floats) -> Floats:
 def estimate(
     sources: Sequence[Source], terms: Sequence[Term], *, search: bool = True, progress: Progress | None = None
 ) -> Estimate:
-    """Fit terms, beginning with the parameters that they have.
+    """Fit terms, starting with their current parameters.
 
-    Readings whose residual is far off count less (`robust`); the noise of each reading column is what the fit leaves in
-    it. Both are found again until they stay.
+    Readings whose residual is far off count less (`robust`); the noise of each reading column comes from its residual.
+    Both are re-estimated until they converge.
 
     Args:
-        sources: measurements; their weights say what is left out from the start.
+        sources: measurements; their weights exclude readings from the start.
         terms: with parameters.
-        search: whether parameters are searched for, or stay.
-        progress: told readings done, of how many, of each walk.
+        search: whether parameters are searched or stay constant.
+        progress: called with the readings done and in total, for each pass.
 
     Raises:
-        ModelError: too few readings, a term that no reading shows, or terms that cannot be told apart.
+        ModelError: too few readings, a term that no reading shows, or terms that cannot be distinguished.
     """
     sigma, terms = _first_look(sources, terms, search)
     rows = [np.ones(len(s.weight)) for s in sources]
@@ -158,7 +158,7 @@ def estimate(
 
 
 def _first_look(sources: Sequence[Source], terms: Sequence[Term], search: bool) -> tuple[list[Floats], Sequence[Term]]:
-    """Noise and parameters to begin with: of a fit to fewer readings where there are very many, else roughly."""
+    """Noise and parameters to start with: from a fit to some of very many readings, else a rough estimate."""
     few = [thinned(s, FEWER // len(sources)) for s in sources]
     rough = [rough_noise(s) for s in few]
     if sum(len(s.weight) for s in sources) < 3 * sum(len(s.weight) for s in few):
@@ -171,7 +171,7 @@ def _first_look(sources: Sequence[Source], terms: Sequence[Term], search: bool) 
 
 
 def _reweigh(spread: Sequence[Floats], sigma: Sequence[Floats]) -> bool:
-    """Whether the weights of the columns against each other changed by much; a common factor is nothing."""
+    """Whether the weights of the columns against each other changed by much; a common factor has no influence."""
     ratio = np.log(np.concatenate(spread) / np.concatenate(sigma))
     return bool(np.ptp(ratio) > SAME)
 
@@ -183,7 +183,7 @@ def _polished(sources: Sequence[Source], terms: Sequence[Term], search: bool, pr
 
 
 def _weighed(sources: Sequence[Source], rows: Sequence[Floats], sigma: Sequence[Floats]) -> list[Source]:
-    """Sources with the weights that they were given, times those of the rows, over the noise of each column."""
+    """Sources with their given weights, times those of the rows, over the noise of each column."""
     return [
         s.weighted(((s.weight * row).reshape(-1, s.count) / size).ravel())
         for s, row, size in zip(sources, rows, sigma, strict=True)
@@ -221,7 +221,7 @@ def _rows(left: Floats, sigma: Floats) -> Floats:
 def _changed(
     rows: Sequence[Floats], now: Sequence[Floats], residuals: Sequence[Floats], sigma: Sequence[Floats]
 ) -> bool:
-    """Whether the readings pull otherwise than before."""
+    """Whether the influence of the readings changed."""
     return not all(
         settled(before.reshape(left.shape[::-1])[:, j], after.reshape(left.shape[::-1])[:, j], row, float(size[j]))
         for before, after, left, size in zip(rows, now, residuals, sigma, strict=True)
@@ -230,7 +230,7 @@ def _changed(
 
 
 def _noise(sources: Sequence[Source], residuals: Sequence[Floats], normal: Normal) -> list[Floats]:
-    """What the fit leaves in each reading column, counting what it found from them as evenly spent."""
+    """Noise from the residual of each reading column; the degrees of freedom of the fit are shared evenly."""
     share = np.sqrt(max(normal.freedom, 1.0) / max(float(normal.readings.sum()), 1.0))
     out = []
     for source, left in zip(sources, residuals, strict=True):

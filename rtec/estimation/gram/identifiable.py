@@ -1,4 +1,4 @@
-"""Says by name which terms the readings do not show, or cannot tell apart."""
+"""Names the terms that the readings do not show, or cannot distinguish."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ NAMED = 0.05
 
 
 def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
-    """Raise ModelError where the readings do not decide the terms' coefficients; the message names the terms."""
+    """Raise ModelError where the readings do not determine the terms' coefficients; the message names the terms."""
     if normal.freedom < 1:
         raise ModelError(
             f"fit: {int(normal.readings.sum())} readings for {normal.width} coefficients and "
@@ -28,8 +28,8 @@ def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
         )
     sets = []
     for owners, nuisances in blind_sets(normal):
-        said = names(terms, owners)
-        sets.append(", ".join([*([said] if said else []), *nuisances]))
+        listed = names(terms, owners)
+        sets.append(", ".join([*([listed] if listed else []), *nuisances]))
     if any(sets):
         raise ModelError(
             "\n".join(
@@ -40,7 +40,7 @@ def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
 
 
 def blind_sets(normal: Normal) -> list[tuple[list[int], list[str]]]:
-    """Terms, by number, and nuisances that share a direction which no reading sees."""
+    """Terms, by number, and nuisances that share a direction that no reading sees."""
     scaled, _ = normal.scaled()
     part, directions = np.linalg.eigh(scaled)
     out = []
@@ -53,9 +53,9 @@ def blind_sets(normal: Normal) -> list[tuple[list[int], list[str]]]:
 
 
 def tellable(normal: Normal, terms: Sequence[Term]) -> list[int]:
-    """Numbers of terms that the readings tell apart from each other and from the nuisances.
+    """Numbers of terms that the readings separate from each other and from the nuisances.
 
-    Of a set that they do not, the one with the most coefficients goes, then the later one.
+    Of a confounded set, the term with the most coefficients is dropped, then the later one.
     """
     left = [i for i in range(len(terms)) if not (normal.share_left()[normal.owner == i] < NOTHING).any()]
     while left:

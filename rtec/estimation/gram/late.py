@@ -1,12 +1,12 @@
-"""What a lag that all axes have in common would change in a fit.
+"""The change of a fit by a lag that all axes have in common.
 
-A ball bar reads on the run, against commanded angles. Axes that all lag alike turn the circle by a small angle, which
-no circle shows: servo lags show as their difference only. But every error then lies that much further round. To the
-second order a scale reads as a squareness, and a squareness or a difference of two lags `δ` as a difference of two
-servo gains: `(τ_a + τ_b) δ` of the acceleration.
+A ball bar reads in motion, against commanded angles. An equal lag of all axes turns the circle by a small angle, which
+no circle shows: servo lags show only as their difference. But every error is then turned by that angle. To the second
+order a scale reads as a squareness, and a squareness or a difference of two lags `δ` as a difference of two servo
+gains: `(τ_a + τ_b) δ` of the acceleration.
 
-A first-order loop with time constant τ turns short by `½ τ²` of the acceleration. That bounds the common lag by the
-servo gains that were found; feed-forward makes it less.
+A first-order loop with time constant τ falls short by `½ τ²` of the acceleration. So the fitted servo gains bound the
+common lag; feed-forward makes it smaller.
 """
 
 from collections.abc import Sequence
@@ -26,11 +26,11 @@ PER_UNIT_S2 = 1e-6
 
 
 def shift_by_common_lag(sources: Sequence[Source], terms: Sequence[Term], values: Floats) -> Floats:
-    """By how much each coefficient would change if all axes lagged as far as their servo gains allow, (coefficients,).
+    """Change of each coefficient if all axes lagged as far as their servo gains allow, (coefficients,).
 
     Args:
         sources: measurements with the weights of the fit.
-        terms: that were fitted; zeros where no servo gain is among them.
+        terms: of the fit; zeros where no servo gain is among them.
         values: their coefficients, and those of the explicit nuisances.
     """
     width = sum(len(t.names(sources[0].measurement.machine)) for t in terms)
@@ -68,9 +68,9 @@ def _moving(source: Source) -> list[Axis]:
 
 
 def _slope_per_s(source: Source, terms: Sequence[Term], values: Floats) -> Floats:
-    """Minus the derivative in time of what the terms predict, (readings, n); zero at rest.
+    """Minus the derivative in time of the terms' prediction, (readings, n); zero at rest.
 
-    Taken along the path, between the places at which an axis turns round: a reversal is where it is, lag or no lag.
+    It is taken along the path, between the places at which an axis reverses: a lag does not move a reversal.
     """
     m, axes = source.measurement, _moving(source)
     out = np.zeros((source.count, len(m)))

@@ -1,8 +1,8 @@
 """Normal equations, block by block: fit, held-out error, standard errors, all without the readings.
 
-Symbols: `G = XᵀX`, `b = Xᵀy` of a block's weighted readings y and columns X, kept as one matrix with y as the last
-column. Sums over blocks give the fit; sums without a fold give the fit that never saw it, and the fold's own sums
-then give its error, `yᵀy - 2θᵀb + θᵀGθ`.
+Symbols: `G = XᵀX`, `b = Xᵀy` of a block's weighted readings y and columns X, stored as one matrix with y as the last
+column. Sums over blocks give the fit; sums without a fold give the fit without it, and the fold's own sums then give
+its error, `yᵀy - 2θᵀb + θᵀGθ`.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PARTS = 10
-"""Neighbouring blocks of a measurement are put together into so many."""
+"""Neighbouring blocks of a measurement are joined into this many parts."""
 RIDGE = 1e-11
 """Added to the scaled diagonal: a column that a part of the data does not show at all gets a zero there."""
 NOTHING = 1e-12
@@ -27,11 +27,11 @@ UNSEEN = 1e-9
 
 @dataclass(frozen=True)
 class Cell:
-    """What one measurement gives to one fold.
+    """Contribution of one measurement to one fold.
 
     Attributes:
-        fold: its place among the folds.
-        source: which measurement.
+        fold: index of the fold.
+        source: number of the measurement.
         gram: sum over its blocks.
         freedom: readings less projected nuisances.
     """
@@ -48,11 +48,11 @@ class Normal:
 
     Attributes:
         gram: (blocks, columns + 1, columns + 1): terms' columns, explicit nuisances, the readings.
-        fold: which blocks are left out together, (blocks,).
-        source: which measurement a block is of, (blocks,).
+        fold: number of each block's held-out fold, (blocks,).
+        source: number of each block's measurement, (blocks,).
         readings: number of readings, (blocks,).
-        lost: numbers spent on nuisances that were projected out, (blocks,).
-        owner: which term each of the terms' columns belongs to, (terms' columns,).
+        lost: degrees of freedom of the nuisances that were projected out, (blocks,).
+        owner: number of the term of each of the terms' columns, (terms' columns,).
         raw: sum of squares of each column before nuisances were projected out, (columns + 1,).
         extra: names of the explicit nuisances.
     """
@@ -78,7 +78,7 @@ class Normal:
 
     @cached_property
     def fold_numbers(self) -> Ints:
-        """The folds."""
+        """Numbers of the folds, rising."""
         return np.unique(self.fold)
 
     @cached_property
@@ -87,7 +87,7 @@ class Normal:
         return np.stack([self.gram[self.fold == f].sum(axis=0) for f in self.fold_numbers])
 
     def by_source(self) -> Floats:
-        """Products of the terms' columns, explicit nuisances taken out, of each measurement, (sources, k, k)."""
+        """Products of the terms' columns, explicit nuisances projected out, of each measurement, (sources, k, k)."""
         extra = np.arange(self.width, self.gram.shape[1] - 1)
         cross = self.total[np.ix_(extra, np.arange(self.width))]
         beside = np.eye(self.width)
@@ -99,9 +99,9 @@ class Normal:
 
     @cached_property
     def by_part(self) -> "Normal":
-        """Neighbouring blocks of each measurement made one, and those of all measurements in the same order of time.
+        """Neighbouring blocks of each measurement joined, and those of all measurements in the same order of time.
 
-        Drift that no sensor sees goes on from block to block: such a part says what a block says too surely.
+        Drift that no sensor sees continues from block to block: single blocks would give too small standard errors.
         """
         part = np.zeros(len(self.fold), dtype=np.int64)
         for s in np.unique(self.source):
@@ -119,7 +119,7 @@ class Normal:
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:
-        """What each measurement gives to each fold."""
+        """Contribution of each measurement to each fold."""
         pairs = sorted(set(zip(self.fold.tolist(), self.source.tolist(), strict=True)))
         free = self.readings - self.lost
         out = []
@@ -131,7 +131,7 @@ class Normal:
 
     @property
     def freedom(self) -> float:
-        """Degrees of freedom: readings less everything that was found from them."""
+        """Degrees of freedom: readings less all numbers estimated from them."""
         return float(self.readings.sum() - self.lost.sum() - self.width - len(self.extra))
 
     def pick(self, columns: Sequence[int] | Ints) -> "Normal":
@@ -150,7 +150,7 @@ class Normal:
 
     @property
     def floor(self) -> Floats:
-        """Sums of squares below which a column is nothing but rounding, (columns,)."""
+        """Sums of squares below which a column is only rounding, (columns,)."""
         return NOTHING * self.raw[:-1]
 
     def values(self) -> Floats:
@@ -163,7 +163,7 @@ class Normal:
 
     @cached_property
     def alone(self) -> NDArray[np.bool_]:
-        """Which explicit nuisances only one fold knows, (folds, nuisances)."""
+        """Which explicit nuisances occur in only one fold, (folds, nuisances)."""
         whole = np.diag(self.total)[self.width : -1]
         own = np.diagonal(self.by_fold, axis1=1, axis2=2)[:, self.width : -1]
         return np.asarray((whole - own <= UNSEEN * whole) & (whole > 0))
@@ -177,7 +177,7 @@ class Normal:
         return out, inside
 
     def _left(self, cell: Cell, values: Floats) -> float:
-        """Squares left in a cell; nuisances that only its fold knows are fitted to it."""
+        """Sum of squared residuals of a cell; nuisances that only its fold has are fitted to it."""
         gram, alone = cell.gram, self.width + np.flatnonzero(self.alone[cell.fold])
         if len(alone):
             gram, values = _without(gram, alone), np.delete(values, alone)
@@ -198,9 +198,9 @@ class Normal:
         return np.asarray((blocks - 1) / blocks * (off.T @ off))
 
     def blocks_telling(self) -> Floats:
-        """How many blocks each number comes from beside the others, (columns,); small ones count less.
+        """Effective number of blocks that determine each number beside the others, (columns,); small ones count less.
 
-        `(Σ w_b)² / Σ w_b²`, where `w_b`, the diagonal of `N⁻¹ G_b N⁻¹`, is what a block adds to the number's variance.
+        `(Σ w_b)² / Σ w_b²`, where `w_b`, the diagonal of `N⁻¹ G_b N⁻¹`, is a block's contribution to the variance.
         """
         inverse = self.inverse()
         share = np.maximum(np.einsum("ij,bjk,ki->bi", inverse, self.gram[:, :-1, :-1], inverse, optimize=True), 0.0)
@@ -221,7 +221,7 @@ class Normal:
         return np.asarray(np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) / np.outer(scale, scale))
 
     def condition(self) -> float:
-        """Condition number of the scaled columns: 1 is ideal, above 30 some are hard to tell apart."""
+        """Condition number of the scaled columns: 1 is ideal, above 30 some are hard to separate."""
         if len(self.total) == 1:
             return 1.0
         parts = np.linalg.eigvalsh(self.scaled()[0])
@@ -233,8 +233,8 @@ def solve(gram: Floats, floor: Floats | float = 0.0, *, refine: bool = True) -> 
 
     Args:
         gram: the readings are the last column.
-        floor: a column with a smaller sum of squares is nothing but rounding, and gets a zero, (columns,).
-        refine: take the little ridge out again by a step of refinement.
+        floor: a column with a smaller sum of squares is only rounding, and gets a zero, (columns,).
+        refine: remove the influence of the small ridge by a step of refinement.
     """
     scaled, scale = ridged(gram, floor)
     inner, target = scaled[:, :-1, :-1], scaled[:, :-1, -1:]
@@ -247,14 +247,14 @@ def solve(gram: Floats, floor: Floats | float = 0.0, *, refine: bool = True) -> 
 
 
 def ridged(gram: Floats, floor: Floats | float = 0.0) -> tuple[Floats, Floats]:
-    """Stacked normal equations of columns of size one, with a little ridge; a column that is nothing is left alone.
+    """Stacked normal equations of columns of size one, with a small ridge; a column that is only rounding is decoupled.
 
     Args:
         gram: the readings are the last column, (n, columns + 1, columns + 1).
         floor: as for `solve`.
 
     Returns:
-        The equations, and by what each column was multiplied, (n, columns + 1): 0 where it is nothing, 1 the readings.
+        The equations, and the factor of each column, (n, columns + 1): 0 where it is only rounding, 1 for the readings.
     """
     diagonal = np.diagonal(gram, axis1=1, axis2=2)[:, :-1]
     dead = diagonal <= floor
@@ -267,13 +267,13 @@ def ridged(gram: Floats, floor: Floats | float = 0.0) -> tuple[Floats, Floats]:
 
 
 def squares_left(gram: Floats, values: Floats) -> Floats:
-    """Sum of squares that values leave, `yᵀy - 2θᵀb + θᵀGθ`, (n,)."""
+    """Sum of squared residuals, `yᵀy - 2θᵀb + θᵀGθ`, (n,)."""
     whole = np.concatenate([-values, np.ones((len(values), 1))], axis=1)[:, :, None]
     return np.asarray((whole.transpose(0, 2, 1) @ (gram @ whole))[:, 0, 0])
 
 
 def _without(gram: Floats, gone: Ints) -> Floats:
-    """Normal equations with some columns fitted away."""
+    """Normal equations with some columns projected out."""
     keep = np.setdiff1d(np.arange(len(gram)), gone)
     cross = gram[np.ix_(gone, keep)]
     return np.asarray(gram[np.ix_(keep, keep)] - cross.T @ np.linalg.pinv(gram[np.ix_(gone, gone)]) @ cross)

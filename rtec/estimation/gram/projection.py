@@ -1,9 +1,9 @@
-"""Finds non-linear parameters (time constant, pitch, exponent) by variable projection.
+"""Fits non-linear parameters (time constant, pitch, exponent) by variable projection.
 
-First a grid, because the error has many valleys along a pitch: for each parameter tried, the coefficients are those
-that fit best. Then Gauss-Newton with the coefficients projected out (Kaufman's form of Golub and Pereyra's method):
-the design gets one more column a parameter, the slope of its effect, and one walk through the readings gives a step
-of all parameters at once.
+First a grid, because the error has many minima along a pitch: at each grid value, the coefficients are those that fit
+best. Then Gauss-Newton with the coefficients projected out (Kaufman's form of Golub and Pereyra's method): the design
+gets one more column for each parameter, the slope of its effect, and one pass through the readings gives a step of all
+parameters at once.
 """
 
 import itertools
@@ -26,26 +26,26 @@ Floats = NDArray[np.float64]
 
 GRID = 9
 STRAIGHT_GRID = 17
-"""Places tried along a parameter: on a logarithmic scale (time constants), on a straight one (pitch)."""
+"""Grid points of a parameter: on a logarithmic scale (time constants), on a linear one (pitch)."""
 SMALL_GRID = 5
-"""Where an effect has two parameters."""
+"""The same where an effect has two parameters."""
 SWEEPS = 2
 STEPS = 8
 CLOSE = 0.02
 """A step below this share of the standard error ends the search."""
 EDGE = 1e-4
-"""A parameter within this share of its bounds from one of them stands on it, and has no standard error."""
+"""A parameter within this share of its bounds from one of them is on it, and has no standard error."""
 
 
 @dataclass(frozen=True)
 class Polished:
-    """What the search found.
+    """Result of the search.
 
     Attributes:
         terms: with their final parameters.
         slopes: one for each parameter that is not on a bound.
         normal: normal equations of terms and slopes at these parameters.
-        on_bound: parameters that are, as (term, name).
+        on_bound: parameters on a bound, as (term, name).
     """
 
     terms: tuple[Term, ...]
@@ -60,13 +60,13 @@ class Polished:
 
     @cached_property
     def left(self) -> float:
-        """Sum of squares that the terms leave at these parameters."""
+        """Sum of squared residuals at these parameters."""
         linear = self.linear
         return linear.squares(linear.values())
 
 
 def starting_terms(effects: Sequence[Effect], sources: Sequence[Source]) -> list[Term]:
-    """Give terms with parameters from a grid: each in turn where the whole fits best, twice round."""
+    """Terms with parameters from a grid: each in turn where the whole fits best, in two rounds."""
     machine = sources[0].measurement.machine
     choices = [[Term(e, theta) for theta in _grid(e.nonlinear(machine))] for e in effects]
     if all(len(c) == 1 for c in choices):
@@ -85,7 +85,7 @@ def starting_terms(effects: Sequence[Effect], sources: Sequence[Source]) -> list
 
 
 def polish(sources: Sequence[Source], terms: Sequence[Term], progress: Progress | None = None) -> Polished:
-    """Find the parameters of all terms together, beginning at those that they have."""
+    """Fit the parameters of all terms together, starting at their current ones."""
     measurements = [s.measurement for s in sources]
     free = [(i, p) for i, t in enumerate(terms) for p in within_record(t.effect, measurements, LONGEST_LAG)]
     if not free:
@@ -129,7 +129,7 @@ def _inside(place: float) -> bool:
 
 
 def _step(found: Polished, free: list[tuple[int, Parameter]], place: Floats) -> tuple[Floats, Floats, bool]:
-    """Step of all parameters as places in 0 … 1, the coefficients there, and whether the step is nothing."""
+    """Step of all parameters as places in 0 … 1, the coefficients there, and whether the step is negligible."""
     normal, count = found.normal, len(found.slopes)
     both, width = normal.values(), normal.width - count
     moved = both[width : width + count]
@@ -139,7 +139,7 @@ def _step(found: Polished, free: list[tuple[int, Parameter]], place: Floats) -> 
     for k, j in enumerate(np.flatnonzero([_inside(at) for at in place])):
         i, p = free[j]
         to = float(np.clip(found.terms[i].theta[p.name] + moved[k], p.low, p.high))
-        # No further than a third of the whole span at once: the slope is that of this place.
+        # At most a third of the whole span at once: the slope is valid only near this place.
         step[j] = np.clip(_place(p, to) - place[j], -1 / 3, 1 / 3)
     done = bool(np.all(np.abs(moved) <= CLOSE * spread))
     return step, np.delete(both, np.arange(width, width + count)), done

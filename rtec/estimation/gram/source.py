@@ -1,12 +1,12 @@
-"""One measurement made ready for the fit: weights, blocks, and what the instrument cannot know.
+"""One measurement prepared for the fit: weights, blocks, and the unknowns of the instrument.
 
-A nuisance of each run is projected out of that run's readings and columns, run by run: the same
-coefficients as with one explicit column for each run, at the cost of none. Where a run lies in several blocks, and
-for what a whole set-up shares, the columns are explicit.
+A nuisance of each run is projected out of that run's readings and columns, run by run: this gives the same coefficients
+as one explicit column for each run, without its cost. Where a run is in several blocks, and for what a whole set-up
+shares, the columns are explicit.
 
-Fewer readings of a long measurement, for choosing; what is chosen is fitted to all of them.
+Also: a subset of a long measurement, for the choice of terms; the chosen terms are fitted to all readings.
 
-Which temperatures varied, which axes went both ways.
+Also: which temperatures varied, and which axes went both ways.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from rtec.metrology.measurement import Measurement
 Floats = NDArray[np.float64]
 
 EMPTY = 1e-9
-"""What is left of a nuisance, relative to its size, below which it is a copy of those before it."""
+"""A nuisance is a copy of those before it where they leave less than this share of its size."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Explicit:
     """A nuisance that has a column of its own.
 
     Attributes:
-        name: measurement, nuisance and run, for people.
-        nuisance: which.
+        name: measurement, nuisance and run, for messages.
+        nuisance: the nuisance.
         rows: the rows in which it acts.
     """
 
@@ -51,9 +51,9 @@ class Source:
 
     Attributes:
         measurement: as given.
-        blocks: how it is cut.
+        blocks: its cut.
         weight: one over the noise of each reading, (n · readings,); zero where there is no reading or where it is
-            left out.
+            excluded.
     """
 
     measurement: Measurement
@@ -62,7 +62,7 @@ class Source:
 
     @classmethod
     def of(cls, measurement: Measurement, blocks: Blocks | None = None) -> "Source":
-        """Every reading that is there with weight one."""
+        """Every existing reading with weight one."""
         there = np.isfinite(measurement.matrix()).T.ravel()
         return cls(measurement, blocks or cuts([measurement])[0], there.astype(np.float64))
 
@@ -77,7 +77,7 @@ class Source:
 
     @cached_property
     def state(self) -> State:
-        """The state; directions are worked out once, before it is walked through."""
+        """The state, with directions computed once before the pass."""
         return self.measurement.state()
 
     @cached_property
@@ -88,7 +88,7 @@ class Source:
     def rate(self, axis: Axis, channel: str) -> Floats | None:
         """Velocity of an axis, mm/s, or acceleration, mm/s², by its channel, (n,).
 
-        As recorded; zero where the instrument reads at rest or the axis never moved; None where nobody knows.
+        As recorded; zero where the instrument reads at rest or the axis never moved; None where it is unknown.
         """
         if self.state.has(channel):
             return self.state.value(channel)
@@ -103,7 +103,7 @@ class Source:
 
     @cached_property
     def nuisances(self) -> tuple[Nuisance, ...]:
-        """What the instrument cannot know."""
+        """Unknowns of the instrument."""
         return self.measurement.instrument.nuisance(self.state, self.measurement.run)
 
     @cached_property
@@ -113,7 +113,7 @@ class Source:
 
     @cached_property
     def whole(self) -> NDArray[np.bool_]:
-        """Runs that lie in one block, (runs,)."""
+        """Runs that are in one block, (runs,)."""
         edges, runs = self.blocks.edges, self.blocks.run_edges
         first, last = np.searchsorted(edges, runs[:-1], "right"), np.searchsorted(edges, runs[1:] - 1, "right")
         return np.asarray(first == last)
@@ -143,12 +143,12 @@ class Source:
 
     @cached_property
     def lanes(self) -> tuple[int | None, ...]:
-        """For each of `projected`: the one reading column that it touches; None where it touches several."""
+        """For each of `projected`: the one reading column that it affects; None where it affects several."""
         touched = [[j for j in range(self.count) if q[j :: self.count].any()] for q in self.projected]
         return tuple(t[0] if len(t) == 1 and self.count > 1 else None for t in touched)
 
     def lost(self) -> Floats:
-        """How many numbers each run spends on its nuisances, (runs,)."""
+        """Degrees of freedom of each run's nuisances, (runs,)."""
         spent = [np.add.reduceat(q * q, self.run_starts[:-1]) for q in self.projected]
         return np.asarray(np.sum(spent, axis=0)) if spent else np.zeros(len(self.run_starts) - 1)
 
@@ -172,7 +172,7 @@ def flat(values: Floats) -> Floats:
 def orthonormal(columns: list[Floats], starts: NDArray[np.int64], where: NDArray[np.bool_]) -> tuple[Floats, ...]:
     """Gram-Schmidt, twice, within each stretch `starts[i] … starts[i + 1] - 1`; zero where `where` is false.
 
-    What is a copy of the columns before it in some stretch is zero there.
+    A copy of earlier columns in some stretch is zero there.
     """
     out: list[Floats] = []
     lengths = np.diff(starts)
@@ -189,7 +189,7 @@ def orthonormal(columns: list[Floats], starts: NDArray[np.int64], where: NDArray
 
 
 def project(values: Floats, directions: tuple[Floats, ...], starts: NDArray[np.int64]) -> Floats:
-    """Take the orthonormal directions out of (m,) values, stretch by stretch; gives new values."""
+    """Project the orthonormal directions out of (m,) values, stretch by stretch; returns new values."""
     lengths = np.diff(starts)
     for q in directions:
         values = values - np.repeat(np.add.reduceat(q * values, starts[:-1]), lengths) * q
@@ -200,9 +200,9 @@ GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 def thinned(source: Source, most: int) -> Source:
-    """At most so many instants, one from each of equal stretches at a place that never repeats.
+    """At most `most` instants, one from each of equal stretches at a place that never repeats.
 
-    A fixed stride would fall in step with a screw's pitch. Directions stay those of the whole; lags hold because
+    A fixed stride would fall in step with a screw's pitch. Directions are those of the whole; lags stay valid because
     temperatures are slow against the stride.
     """
     m = source.measurement
@@ -228,19 +228,19 @@ TAU_S = (150.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
 LONGEST_LAG = 0.5
 """Longest delay as a share of the longest measurement: a free choice would use longer ones for drift."""
 REAL_K = REAL["degc"]
-"""Temperatures that vary by less are not a cause but the sensor's noise."""
+"""A temperature that varies by less shows only its sensor's noise."""
 INNER = (1.0, 99.0)
 """Percentiles between which a temperature's variation is taken: single wrong readings do not count."""
 REAL_RPM = 1.0
 
 
 def reads(source: Source, component: str) -> bool:
-    """Whether an instrument's reading moves with a component error at all."""
+    """Whether an instrument's reading depends on a component error at all."""
     return bool(source.longest_arms[source.measurement.machine.components.index(component)] > NO_ARM)
 
 
 def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[str]]:
-    """Sensors that every measurement has and that vary by at least 0.5 K, and why others are not among them."""
+    """Sensors that every measurement has and that vary by at least 0.5 K; and why others are not among them."""
     good: list[str] = []
     why: list[str] = []
     still: dict[str, float] = {}
@@ -266,16 +266,14 @@ def _still(varied_k: dict[str, float]) -> list[str]:
     if not varied_k:
         return []
     are = "is" if len(varied_k) == 1 else "are"
-    said = ", ".join(f"{name} ({k:.2f} K)" for name, k in varied_k.items())
-    return [f"{said} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"]
+    listed = ", ".join(f"{name} ({k:.2f} K)" for name, k in varied_k.items())
+    return [f"{listed} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"]
 
 
 def lags_s(sources: Sequence[Source]) -> list[float]:
-    """Time constants worth trying: longer than two readings apart, and no longer than `longest_lag_s`."""
-    steps, longest = (
-        [np.diff(s.measurement.time_s) for s in sources],
-        LONGEST_LAG * longest_s([s.measurement for s in sources]),
-    )
+    """Grid of time constants: longer than two readings apart, and no longer than `LONGEST_LAG` allows."""
+    steps = [np.diff(s.measurement.time_s) for s in sources]
+    longest = LONGEST_LAG * longest_s([s.measurement for s in sources])
     apart = min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=np.inf)
     return [tau for tau in TAU_S if 2 * apart <= tau <= longest]
 
@@ -299,10 +297,10 @@ def both_ways(axis: Axis, sources: Sequence[Source]) -> bool:
 
 
 def gone_along(axis: Axis, sources: Sequence[Source]) -> bool:
-    """Whether an axis went over half of what was visited of it in some one run.
+    """Whether an axis covered over half of its visited range in any one run.
 
-    Patches that each have a zero of their own (plates on a grid, say) show slopes and bends where they lie. A curve
-    made of pieces would take any height between them.
+    Patches that each have a zero of their own (plates on a grid, say) show local slopes and bends. A curve made of
+    pieces would be undetermined in height between them.
     """
     there = [s for s in sources if axis.channel in s.measurement.channels]
     whole = [s.measurement.channels[axis.channel] for s in there]

@@ -1,11 +1,11 @@
-"""Walks through the measurements once and gathers the normal equations, block by block.
+"""Passes once through the measurements and sums the normal equations, block by block.
 
-Chunks of a few thousand readings stay in the processor's cache while their columns are worked out; what is kept of
-them is one small square matrix a block.
+Chunks of a few thousand readings stay in the processor's cache while their columns are computed; all that remains of
+them is one small square matrix for each block.
 
-A state walked through window by window, so that a million readings never need their whole design in memory.
+A state is passed window by window, so that a million readings never need their whole design in memory.
 
-Takes the nuisances of each run out of the columns, chunk by chunk.
+The nuisances of each run are projected out of the columns, chunk by chunk.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @njit
 def _lag_on(value: Floats, time_s: Floats, tau_s: float, memory: Floats) -> Floats:
-    """First-order lag that goes on from `memory`: lagged, input, instant, begun; moved to the window's end."""
+    """First-order lag that continues from `memory`: lagged, input, instant, begun; updated to the window's end."""
     out = np.empty(len(value))
     for i in range(len(value)):
         if memory[3] == 0.0:
@@ -45,9 +45,9 @@ def _lag_on(value: Floats, time_s: Floats, tau_s: float, memory: Floats) -> Floa
 
 
 class Walk:
-    """The channels of one state, seen through a window that moves on; what effects may ask of a state.
+    """The channels of one state in a moving window, with the methods of a state that effects use.
 
-    Lags are those of the whole state to the last bit: each goes on from where the window before it ended.
+    Lags equal those of the whole state to the last bit: each continues from the end of the previous window.
     """
 
     def __init__(self, state: State) -> None:
@@ -60,21 +60,21 @@ class Walk:
         self._slot, self._call = 0, 0
 
     def move(self, start: int, stop: int) -> None:
-        """Look at instants start … stop - 1; windows follow each other without gaps."""
+        """Move the window to instants start … stop - 1; windows follow each other without gaps."""
         self._window = slice(start, stop)
         for cache in (self._seen, self._name_of, self._lagged):
             cache.clear()
 
     def begin(self, slot: int) -> "Walk":
-        """Say whose basis functions are asked for next.
+        """Select whose basis functions come next.
 
-        The lag of a channel is worked out once for all who ask; others are remembered by slot and order of asking.
+        The lag of a channel is computed once for all; other lags are stored by slot and order of request.
         """
         self._slot, self._call = slot, 0
         return self
 
     def value(self, name: str) -> Floats:
-        """Give a channel in the window."""
+        """A channel in the window."""
         return self._cached(name, False)
 
     def rise(self, sensor: str) -> Floats:
@@ -97,9 +97,9 @@ class Walk:
         return out
 
     def _channel(self, name: str) -> Floats:
-        """Give a whole channel; an axis that was not recorded stands at zero, as in `State.positions_mm`.
+        """A whole channel; an axis that was not recorded is at zero, as in `State.positions_mm`.
 
-        Of an axis that was recorded at one place only, velocity and acceleration are zero, too.
+        Where an axis was recorded at only one place, velocity and acceleration are zero, too.
         """
         state = self._state
         if name in state.channels:
@@ -122,10 +122,10 @@ class Walk:
 
 
 class Carry:
-    """Takes the nuisances of each run out of the columns, also where a run is longer than a chunk.
+    """Projects the nuisances of each run out of the columns, also where a run is longer than a chunk.
 
-    Of a run that goes on, what its first chunk shows of the nuisances is taken out of all its chunks: that changes
-    nothing but the size of the numbers, and so keeps their digits. What is left of them is summed up and leaves the
+    For a run that continues, the part of the nuisances that its first chunk shows is removed from all its chunks: that
+    changes only the size of the numbers, and so preserves their digits. The remainder is summed and removed from the
     normal equations when the run ends.
     """
 
@@ -135,7 +135,7 @@ class Carry:
         self._left: Floats | None = None
 
     def project(self, buffer: Floats, start: int, stop: int) -> Floats | float:
-        """Project readings start … stop - 1, (columns, readings), in place; give what the equations still need."""
+        """Project readings start … stop - 1, (columns, readings), in place; gives what the equations still need."""
         directions, edges = self._source.projected, self._source.run_starts
         if not directions:
             return 0.0
@@ -152,7 +152,7 @@ class Carry:
         return gone
 
     def _whole(self, buffer: Floats, runs: NDArray[np.int64], start: int) -> None:
-        """Runs that lie in the chunk; a nuisance of one reading among several touches that reading only."""
+        """Runs within the chunk; a nuisance of one reading among several affects only that reading."""
         source = self._source
         for q, lane in zip(source.projected, source.lanes, strict=True):
             step = 1 if lane is None else source.count
@@ -175,7 +175,7 @@ class Carry:
 
 
 def _pieces(runs: NDArray[np.int64], begins: bool, ends: bool) -> list[tuple[int, int, bool, bool]]:
-    """Runs of a chunk that go on beyond it: first and last reading, does it begin here, does it end here."""
+    """Runs of a chunk that continue beyond it: first and last reading, whether it begins here, whether it ends here."""
     out = []
     only = len(runs) == 2
     if not begins or (only and not ends):
@@ -188,19 +188,19 @@ def _pieces(runs: NDArray[np.int64], begins: bool, ends: bool) -> list[tuple[int
 Progress = Callable[[int, int], None]
 
 CHUNK = 8192
-"""Readings worked on at a time."""
+"""Readings in a chunk."""
 LITTLE = 200_000
-"""A chunk with fewer numbers is summed up at once."""
+"""A chunk with fewer numbers is summed at once."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """An effect at chosen non-linear parameters: one column a coefficient.
+    """An effect at chosen non-linear parameters: one column for each coefficient.
 
     Attributes:
         effect: the effect.
         theta: its non-linear parameters.
-        only: which of its coefficients, where not all; the others are zero.
+        only: numbers of its coefficients, where not all are used; the others are zero.
     """
 
     effect: Effect
@@ -220,7 +220,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Slope:
-    """How a term with known coefficients changes with one of its non-linear parameters: one column."""
+    """Derivative of a term with known coefficients by one of its non-linear parameters: one column."""
 
     term: Term
     name: str
@@ -254,14 +254,14 @@ Columns = Sequence[Term | Slope]
 def gather(
     sources: Sequence[Source], terms: Columns, progress: Progress | None = None, *, by_fold: bool = False
 ) -> Normal:
-    """Give the normal equations of all sources, block by block, columns in the order of the terms.
+    """Normal equations of all sources, block by block, columns in the order of the terms.
 
     Args:
         sources: measurements.
-        terms: whose columns.
-        progress: told readings done, of how many.
-        by_fold: blocks that are left out together become one, also those of several sources: all that a held-out
-            error needs, in a small part of the memory.
+        terms: give the columns.
+        progress: called with the readings done and in total.
+        by_fold: join blocks that are held out together, also those of several sources: this suffices for a held-out
+            error, and takes a small part of the memory.
     """
     with one_blas_thread():
         made = _Gatherer(sources, terms, progress)
@@ -294,7 +294,7 @@ def predict(source: Source, terms: Columns, values: Floats) -> Floats:
 
 
 class _Gatherer:
-    """Buffers and sums of one walk."""
+    """Buffers and sums of one pass."""
 
     def __init__(self, sources: Sequence[Source], terms: Columns, progress: Progress | None) -> None:
         self.sources, self.terms, self.progress = sources, terms, progress
@@ -304,7 +304,7 @@ class _Gatherer:
         self.owner = [i for i, width in enumerate(self.widths) for _ in range(width)]
         self.extra: list[tuple[int, Explicit]] = [(s, e) for s, src in enumerate(sources) for e in src.explicit]
         self.width = len(self.owner) + len(self.extra) + 1
-        # A term of a component that a measurement does not read is nothing there, whatever channels it lacks.
+        # A term of a component that a measurement does not read is zero there, whatever channels it lacks.
         fed = {t.effect.component for t in terms}
         self.blind = {(s, name) for s, src in enumerate(sources) for name in fed if not reads(src, name)}
         places = [machine.components.index(t.effect.component) for t in terms]
@@ -316,12 +316,12 @@ class _Gatherer:
         self._behind: Future[None] | None = None
 
     def gather(self) -> Normal:
-        """Walk through every source; columns of a chunk are worked out while those of the last are summed up."""
+        """Pass through every source; columns of a chunk are computed while those of the previous one are summed."""
         keys = [(s, b) for s, source in enumerate(self.sources) for b in range(len(source.blocks.fold))]
         return self._gathered(keys, [self.sources[s].blocks.fold[b] for s, b in keys], [s for s, _ in keys])
 
     def by_fold(self) -> Normal:
-        """The same, blocks that are left out together made one."""
+        """The same, with blocks that are held out together joined."""
         folds = np.unique(np.concatenate([source.blocks.fold for source in self.sources]))
         places = {int(f): i for i, f in enumerate(folds)}
         keys = [(s, b) for s, source in enumerate(self.sources) for b in range(len(source.blocks.fold))]
@@ -332,7 +332,7 @@ class _Gatherer:
         self, keys: Sequence[tuple[int, int]], fold: Sequence[int], source_of: Sequence[int],
         into: Sequence[int] | None = None,
     ) -> Normal:  # fmt: skip
-        """Sums of blocks, (source, number), each into a place of its own or into that of `into`."""
+        """Sums of blocks, (source, number), each at a place of its own or at that of `into`."""
         place = list(into) if into is not None else list(range(len(keys)))
         gram = np.zeros((len(fold), self.width, self.width))
         readings, lost = np.zeros(len(fold), dtype=np.int64), np.zeros(len(fold))
@@ -366,7 +366,7 @@ class _Gatherer:
         for a in range(start, stop, step):
             b = min(a + step, stop)
             buffer = self._columns(s, walk, a, b)
-            self._wait()  # one chunk in hand, one behind: the order of the sums stays the same
+            self._wait()  # at most one chunk ahead: the order of the sums stays the same
             if (b - a) * source.count * self.width < LITTLE:
                 self._absorb(gram, carry, buffer, a * source.count)
             else:
@@ -381,7 +381,7 @@ class _Gatherer:
             self._behind = None
 
     def _absorb(self, gram: Floats, carry: Carry, buffer: Floats, start: int) -> None:
-        """Take the nuisances out of a chunk and add it to the sums."""
+        """Project the nuisances out of a chunk and add it to the sums."""
         self.raw += np.einsum("ij,ij->i", buffer, buffer)
         gram += carry.project(buffer, start, start + buffer.shape[1])
         gram += buffer @ buffer.T

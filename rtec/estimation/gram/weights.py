@@ -1,4 +1,4 @@
-"""How noisy each reading is, and how much it counts in a fit."""
+"""Noise of each reading, and its weight in a fit."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,11 @@ from rtec.estimation.kinds import SIGMA_PER_MAD
 Floats = NDArray[np.float64]
 
 LEAST = 0.02
-"""No reading is trusted more than to this share of the spread of its column."""
+"""The noise of a reading is at least this share of the spread of its column."""
 
 
 def rough_noise(source: Source) -> Floats:
-    """Noise of each reading column from how neighbouring readings of a run differ, (readings,)."""
+    """Noise of each reading column from the differences of neighbouring readings of a run, (readings,)."""
     values = source.measurement.matrix()
     out = np.empty(len(values))
     for j, column in enumerate(values):
@@ -29,7 +29,7 @@ def rough_noise(source: Source) -> Floats:
 
 
 def residuals_of(source: Source, predicted: Floats, explicit: Sequence[tuple[Floats, float]] = ()) -> Floats:
-    """Readings minus prediction minus each run's nuisances, unweighted, (readings, n); NaN where none or left out.
+    """Readings minus prediction minus each run's nuisances, unweighted, (readings, n); NaN where none or excluded.
 
     Args:
         source: with the weights of the fit.

@@ -215,7 +215,7 @@ def _bars(fed: Mapping[str, float]) -> dict[str, Any]:
     units = {c: UNITS[component_unit(c)] for c in ordered}
     figure = figures.bars(ordered, units, f"component error, {' or '.join(sorted(set(units.values())))}")
     figure["layout"]["xaxis"]["zeroline"] = True
-    figure["layout"]["margin"] = {"l": 70, "r": 70, "t": 44, "b": 56}  # numbers stand at the ends of the bars
+    figure["layout"]["margin"] = {"l": 70, "r": 70, "t": 44, "b": 56}  # numbers are at the ends of the bars
     return figure
 
 
