@@ -29,7 +29,7 @@ ONE_ARM = 1e-3
 """Lever arms within this relative difference are equal."""
 MOST = 48
 """Combinations of non-linear parameters in the grid, at most."""
-REAL = {"degc": 0.5, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
+REAL = {"degc": 0.3, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
 """A smaller change is noise of the channel, not a motion."""
 
 

@@ -227,9 +227,9 @@ class _Growth:
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
             if not ask and found.verdict == "undecided":
                 return Improved(model, tuple(steps), tuple(diagnoses), "undecided")
-            if not ask and _inseparable(found, model.machine):
+            choice = found.findings[0] if ask else _taken_alone(found, model.machine)
+            if choice is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "ambiguous")
-            choice = found.findings[0]
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
@@ -304,19 +304,25 @@ def _with_rivals(added: Added, found: Diagnosis, taken: Finding) -> Added:
     return replace(added, model=model, notes=(*rival_notes(taken, rivals), *added.notes), passed_over=rivals)
 
 
-def _inseparable(found: Diagnosis, machine: Machine) -> bool:
-    """Whether an axis made only one pass, so that the named effect may be confounded with others.
+def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
+    """The candidate that is added if nobody is asked; None where one pass of an axis cannot decide.
 
     A single reversal does not show how reversals change. One number of geometry is added even if something else is as
     likely: every machine has it, and a mistake about it does the least harm.
     """
-    if not any(d.kind == "one_pass" for d in found.doubts):
-        return False
     first = found.findings[0]
-    read, ways = set(first.effect.channels(machine)), {a.direction_channel for a in machine.axes}
-    plain = len(first.effect.coefficients(machine)) == 1 and first.partner is None
-    plain = plain and read <= ways | {a.channel for a in machine.axes}
-    return bool(read & ways and read - ways) or (found.verdict == "ambiguous" and not plain)
+    if not any(d.kind == "one_pass" for d in found.doubts):
+        return first
+    ways, places = {a.direction_channel for a in machine.axes}, {a.channel for a in machine.axes}
+
+    def plain(f: Finding) -> bool:
+        one = len(f.effect.coefficients(machine)) == 1 and f.partner is None
+        return one and set(f.effect.channels(machine)) <= ways | places
+
+    if found.verdict == "ambiguous":
+        return next((f for f in found.findings if f.group and plain(f)), None)
+    read = set(first.effect.channels(machine))
+    return None if read & ways and read - ways else first
 
 
 def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.estimation.candidates import REAL
 from rtec.estimation.held_out import Blocks, cuts
 from rtec.estimation.visible import NO_ARM, longest_arms, longest_s
 from rtec.machine import Axis
@@ -227,7 +226,7 @@ def thinned(source: Source, most: int) -> Source:
 TAU_S = (150.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
 LONGEST_LAG = 0.5
 """Longest delay as a share of the longest measurement: a free choice would use longer ones for drift."""
-REAL_K = REAL["degc"]
+REAL_K = 0.5
 """A temperature that varies by less shows only its sensor's noise."""
 INNER = (1.0, 99.0)
 """Percentiles between which a temperature's variation is taken: single wrong readings do not count."""
