@@ -15,7 +15,7 @@ from rtec.diagnosis.extend.add import (
     rival_notes,
     rivals_of,
 )
-from rtec.diagnosis.extend.temperatures import further_temperature
+from rtec.diagnosis.extend.temperatures import further_temperature, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA
@@ -271,7 +271,7 @@ class _Growth:
         for finding in findings:
             pair = [finding] if finding.partner is None else [finding, finding.partner]
             new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
-            if any(is_there(model, n) for n in new):
+            if any(is_there(model, n) or hardly_varied(model, n.effect, self.given.readings) for n in new):
                 continue
             try:
                 added = add(model, new, self.measurements, stage=self.stage, given=self.given, own=self.own)

@@ -64,6 +64,18 @@ def further_temperature(judged: Judgement) -> FittedEffect | None:
     return new_effect(effect, judged.model, theta)
 
 
+def hardly_varied(model: Model, effect: Effect, readings: Readings) -> bool:
+    """Whether an effect that the model has by other sensors follows one that varied by less than `VARIED_DEGC`."""
+    sensor = getattr(effect, "sensor", None)
+    same = [f.effect for f in model.effects if f.effect.effect == effect.effect]
+    others = {getattr(e, "sensor", None) for e in same if e.component == effect.component}
+    return sensor is not None and bool(others) and sensor not in others and not _varied(readings, sensor)
+
+
+def _varied(readings: Readings, sensor: str) -> bool:
+    return float(np.ptp(np.nanquantile(readings.channel(sensor), TRIMMED))) >= VARIED_DEGC
+
+
 def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping[str, float]]]:
     """Effects of a temperature along an axis, by every sensor and with every delay that the model lacks."""
     seen = {c.name: c for c in visible(readings)}
@@ -74,7 +86,7 @@ def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping
         if not along or effect.component not in seen:
             continue
         for sensor in surroundings(readings, seen[effect.component]).sensors:
-            if float(np.ptp(np.nanquantile(readings.channel(sensor), TRIMMED))) < VARIED_DEGC:
+            if not _varied(readings, sensor):
                 continue
             for late in _delays(effect):
                 other = effect.model_copy(update={"sensor": sensor, **late})
