@@ -42,21 +42,23 @@ MUCH_WARMER = 5.0
 UNITS = {"um": "µm", "urad": "µrad"}
 
 
-def substitute_sensor(readings: Readings, effect: Effect) -> Doubt | None:
+def substitute_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> Doubt | None:
     """Doubt where a sensor represents a body without a sensor; None where the body has one, or the effect has none.
 
     Args:
         readings: the readings.
         effect: the named one.
+        known: effects of the model: a sensor by which it has the same effect is on the body.
     """
     sensor = getattr(effect, "sensor", None)
     if sensor is None or effect.effect not in BODIES:
         return None
-    known, where = BODIES[effect.effect]
+    words, where = BODIES[effect.effect]
     axis = str(getattr(effect, "axis", ""))
     recorded = [n for n in readings.machine.sensor_names if any(n in s.channels for s in readings.states)]
-    on_it = [n for n in recorded if any(w in n.lower() for w in known) or (axis and n.lower() == f"t_{axis.lower()}")]
-    if on_it:
+    on_it = [n for n in recorded if any(w in n.lower() for w in words) or (axis and n.lower() == f"t_{axis.lower()}")]
+    same = [k for k in known if (k.effect, k.component) == (effect.effect, effect.component)]
+    if on_it or any(getattr(k, "sensor", None) in recorded for k in same):
         return None
     place = where.format(axis=axis)
     message = f"{effect.effect} follows {sensor}; no sensor {place} was recorded, which moves alike."

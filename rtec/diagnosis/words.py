@@ -222,7 +222,8 @@ def _one_of(d: Diagnosis) -> str:
 def _beside(d: Diagnosis, apart: Collection[tuple[str, str]]) -> str:
     """Effects that may be missing besides: the likeliest, and the number of similar ones."""
     others = [f for f in d.findings if (f.effect.effect, f.effect.component) in apart]
-    names = list(dict.fromkeys(f.label for f in others))
+    named = dict(zip(map(id, d.findings), labels(d.findings), strict=True))
+    names = list(dict.fromkeys(named[id(f)] if f.label == d.findings[0].label else f.label for f in others))
     return f"{names[0]}{_like(len(names) - 1)}" if names else ""
 
 

@@ -90,7 +90,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     """
     refit = _refit_words(r.refit) if r.refit else ""
     if not r.steps:
-        lead = f"{refit}No effect was added: {WHY_ENDED[r.reason]}. {_last_verdict(r)}"
+        lead = f"{refit}No effect was added: {_why_ended(r)}. {_last_verdict(r)}"
     else:
         first, last = r.steps[0], r.steps[-1]
         unit = UNITS[last.unit]
@@ -98,7 +98,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         added = counted(sum(len(s.labels) for s in r.steps), "effect")
         lead = (
             f"{refit}{added} added: the residual on held-out runs fell from {before} to "
-            f"{after} {unit}; the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {WHY_ENDED[r.reason]}."
+            f"{after} {unit}; the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {_why_ended(r)}."
         )
     steps = [
         Section(f"Step {i}: {', '.join(s.labels)}", _before_and_after(s).text, _before_and_after(s).table)
@@ -116,7 +116,16 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     )
 
 
+def _why_ended(r: Improved) -> str:
+    """Why the improvement ended, in words."""
+    if r.reason == "no_gain" and r.cancelling:
+        return f"these readings determine only what {' and '.join(r.cancelling)} make together"
+    return WHY_ENDED[r.reason]
+
+
 def _last_verdict(r: Improved) -> str:
     """The verdict of the last diagnosis; an effect that is too small is named as such."""
     verdict = sentence(r.diagnoses[-1].sentence)
-    return f"Too small to be added: {verdict}" if r.reason == "no_gain" else verdict
+    if r.reason != "no_gain":
+        return verdict
+    return f"{'Not' if r.cancelling else 'Too small to be'} added: {verdict}"

@@ -268,7 +268,8 @@ def _add(
     if new and own:
         kept = _with_own(model, after, own, readings, loose)
         other = _judged(model, new, measurements, there, kept, margin, own, own)
-        if other.after.held_out < (1.0 - CLEARLY) * made.after.held_out:
+        settles = bool(after.undetermined) and not kept.undetermined and other.better
+        if settles or other.after.held_out < (1.0 - CLEARLY) * made.after.held_out:
             after, made = kept, other
     progress("held-out runs", 3, 3)
     named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)

@@ -72,6 +72,7 @@ class Improved(Result):
         diagnoses: one for each step, and the last, which named nothing more or was not followed.
         reason: why the search ended.
         refit: of the model's own numbers before all steps, where it lowered the held-out error.
+        cancelling: effects of which these readings determine only the sum, where that refused the last addition.
     """
 
     page_maker: ClassVar[str] = "rtec.report.additions:improved_page"
@@ -81,6 +82,7 @@ class Improved(Result):
     diagnoses: tuple[Diagnosis, ...]
     reason: Reason
     refit: Added | None = None
+    cancelling: tuple[str, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
         """One row for each added effect, with the error on held-out runs before and after it."""
@@ -173,6 +175,7 @@ class _Growth:
         stage: Stage | None,
         step: Callable[[Added], None] | None,
     ) -> None:
+        self.cancelling: tuple[str, ...] = ()
         self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
         self.best = residual_size(start.effects, given.readings)
         again = any(m.fingerprint in start.measurements.values() for m in measurements)
@@ -240,7 +243,7 @@ class _Growth:
             others = [] if ask else others
             added = self._first_gain(model, found, [picked, *others])
             if added is None:
-                return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
+                return Improved(model, tuple(steps), tuple(diagnoses), "no_gain", cancelling=self.cancelling)
             model = self._taken(added, steps)
         return Improved(model, tuple(steps), tuple(diagnoses), "steps")
 
@@ -277,6 +280,7 @@ class _Growth:
                 added = add(model, new, self.measurements, stage=self.stage, given=self.given, own=self.own)
             except ModelError:
                 continue  # on the loop's channels it is confounded with the model's effects
+            self.cancelling = added.undetermined
             if self._gains(added):
                 return _with_rivals(added, found, finding)
         return None

@@ -289,7 +289,7 @@ class _Answer:
             message = f"Is pitch_mm right? The wave that is missing is that of a screw: {asked.why}."
             out.append(Doubt("wrong_pitch", message, words.sentence(asked.separating_test)))
         effect, machine = self.s.candidates[first.number].effect, self.s.model.machine
-        substitute, slow = substitute_sensor(self.readings, effect), None
+        substitute, slow = substitute_sensor(self.readings, effect, [f.effect for f in self.s.model.effects]), None
         named = [
             first.number,
             *([self.s.partner] if self.s.partner is not None else []),
