@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 from rtec.diagnosis.extend.add import (
@@ -26,7 +27,7 @@ from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean, clean
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
-from rtec.model import Model
+from rtec.model import FittedEffect, Model
 from rtec.result import Result
 
 Stage = Callable[[str, int, int], None]
@@ -277,13 +278,22 @@ class _Growth:
             if any(is_there(model, n) or hardly_varied(model, n.effect, self.given.readings) for n in new):
                 continue
             try:
-                added = add(model, new, self.measurements, stage=self.stage, given=self.given, own=self.own)
+                added = self._added(model, new)
             except ModelError:
-                continue  # on the loop's channels it is confounded with the model's effects
+                continue  # confounded with the model on the channels that the loop has
             self.cancelling = added.undetermined
             if self._gains(added):
                 return _with_rivals(added, found, finding)
         return None
+
+    def _added(self, model: Model, new: Sequence[FittedEffect]) -> Added:
+        """The model with effects; it keeps its own numbers where the readings determine only the sum of both."""
+        adding = partial(add, model, new, self.measurements, stage=self.stage, given=self.given)
+        added = adding(own=self.own)
+        if added.undetermined and self.own < len(model.effects):
+            kept = adding(own=len(model.effects))
+            added = added if kept.undetermined else kept
+        return added
 
     def _gains(self, added: Added) -> bool:
         """Whether an addition is worth it: it predicts held-out runs better and cancels no effect of the model."""
