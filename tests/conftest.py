@@ -46,9 +46,10 @@ def pytest_xdist_auto_num_workers() -> int:
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Strip the names of groups from what failed, which a run without workers does not know."""
-    if session.config.getoption("dist", "no") == "loadgroup" and session.config.cache is not None:
-        failed = session.config.cache.get("cache/lastfailed", {})
-        session.config.cache.set("cache/lastfailed", {re.sub(r"@[^@\]]+$", "", test): True for test in failed})
+    cache = getattr(session.config, "cache", None)
+    if session.config.getoption("dist", "no") == "loadgroup" and cache is not None:
+        failed = cache.get("cache/lastfailed", {})
+        cache.set("cache/lastfailed", {re.sub(r"@[^@\]]+$", "", test): True for test in failed})
 
 
 @pytest.hookimpl(tryfirst=True)
