@@ -35,7 +35,7 @@ from tests.drivers.test_modbus_others import other_server, program, pty_pair, ru
 from tests.support.can_peer import Repeater, bus_on, frame, new_channel
 from tests.support.modbus_peer import CLOCK, FakeSlave, line
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = pytest.mark.xdist_group("lines")
 __all__ = ["program"]  # a fixture
 
 
