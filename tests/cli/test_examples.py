@@ -82,6 +82,8 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         patch.setenv("COLUMNS", "100")
         assert status(["init", "--example"]) == 0
         shutil.copy("configs/machines/turning-centre.toml", "machine.toml")
+        with Path("configs/turning-centre-sim.toml").open("a", encoding="utf-8") as run_file:
+            run_file.write("\n[realtime]\nlock_memory = false\n")  # to fill some 500 MB takes seconds of a processor
         day = ["--settings", "configs/tutorial/day.toml", "--seed", "1"]
         for axis in "XZ":
             truth = ["--effect", f"scale,component=E{axis}{axis},axis={axis},k=12"]

@@ -35,8 +35,9 @@ def write(folder: Path, content: Mapping[str, Any]) -> Path:
 
 
 def short(folder: Path, **hil: Any) -> Path:
-    """The shipped run file with some things of `[hil]` otherwise, and temperatures that are stale after 2 s."""
+    """The shipped run file with some things of `[hil]` otherwise, temperatures stale after 2 s, memory not locked."""
     content = tables()
+    content["realtime"] = {**content.get("realtime", {}), "lock_memory": False}
     content["hil"] |= hil
     content["guard"]["temperature_max_age_s"] = 2.0
     return write(folder, content)
