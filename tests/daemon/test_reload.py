@@ -24,7 +24,7 @@ from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import IMAGE_BYTES, StateWriter, newest
 from rtec.loop.step import Step, StepSettings, lags_of, slots_to_carry
 from rtec.model import FittedEffect, Model, save_model
-from tests.support import setups
+from tests.support import plain_step, setups
 from tests.support.parts import part
 
 MS = 1_000_000
@@ -43,6 +43,11 @@ def samples(step: Step, first_ms: int, n: int, degc: Callable[[float], float] = 
     out.degc_time_ns[:] = (seconds * 1000 * MS)[:, None]
     out.spindle_rpm[:] = 900.0
     return out
+
+
+@pytest.fixture(autouse=True)
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain_step.use(monkeypatch)
 
 
 @pytest.fixture

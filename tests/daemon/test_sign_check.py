@@ -24,7 +24,7 @@ from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 from rtec.machine import Machine
 from rtec.model import Model
-from tests.support import machines, setups
+from tests.support import machines, plain_step, setups
 
 LIMITS = Limits(warning_um=60, stop_um=100, slew_um_s=20, acceleration_um_s2=400)
 CYCLE_NS = 1_000_000
@@ -100,9 +100,10 @@ def cases() -> list[Any]:
 
 @pytest.mark.parametrize(("machine", "axis", "um"), cases())
 def test_the_step_asks_for_its_size_on_its_axis_everywhere(
-    setup: Setup, machine: Machine, axis: str, um: float
+    setup: Setup, machine: Machine, axis: str, um: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever the chain: at the ends of travel as in the middle, the axis alone, without any temperature."""
+    plain_step.use(monkeypatch)
     limits = {a.name: LIMITS for a in machine.axes if a.compensate}
     file = setup.file.model_copy(update={"limits": limits})
     found = with_step(replace(setup, machine=machine, model=Model(machine), file=file), {axis: um})

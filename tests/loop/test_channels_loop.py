@@ -7,13 +7,11 @@ counts and time stamps; bitwise equality between n = 1 and n = many; the sample'
 import re
 import tracemalloc
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import tomli_w
 
-from rtec import jit
 from rtec.correction.flags import MODE_ON, Flag, Limits
 from rtec.daemon.dry_run import input_rows
 from rtec.effects.derived import motion_track
@@ -27,8 +25,9 @@ from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.machine import load_machine
 from rtec.model import FittedEffect, Model, save_model
 from rtec.playback.replay import replay_log
-from tests.loop.test_step import FAST, MACHINE, NS, PLAIN_NJIT, SLOW, same
+from tests.loop.test_step import FAST, MACHINE, NS, SLOW, same
 from tests.support import setups
+from tests.support.plain_step import plain_module
 
 
 def expression(text: str, component: str = "EXX", k: float = 1.7) -> FittedEffect:
@@ -118,11 +117,7 @@ def test_without_numba_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None
     compiled, plain = Step(settings(SLOW)), Step(settings(SLOW))
     data = samples(250, compiled)
     wanted = compiled.run(data)
-    module: dict[str, Any] = {}
-    exec(f"import math\n{PLAIN_NJIT}\n{plain.source.text}", module)  # noqa: S102 - our own text
-    for name in ("move", "ledger_update", "reversal_update", "since_reversal", "motion_update"):
-        monkeypatch.setitem(module, name, jit.as_written(module[name]))
-    monkeypatch.setattr(plain, "_step", module["step"])
+    monkeypatch.setattr(plain, "_step", plain_module(plain.source.text).step)
     found = plain.run(data)
     np.testing.assert_allclose(found.applied_um, wanted.applied_um, atol=1e-9)
     np.testing.assert_array_equal(found.flags, wanted.flags)

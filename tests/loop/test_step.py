@@ -5,12 +5,10 @@ equality between n = 1 and n = many.
 """
 
 import tracemalloc
-from typing import Any
 
 import numpy as np
 import pytest
 
-from rtec import jit
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON, Flag, GuardSettings, Limits
 from rtec.correction.sinks import FollowingErrorSink, PhaseSink, PulseSink
 from rtec.effects import EFFECTS
@@ -20,12 +18,11 @@ from rtec.loop.step import Step, StepSettings
 from rtec.machine import machine_from
 from rtec.model import FittedEffect, Model
 from rtec.model.model import names_of
+from tests.support.plain_step import plain_module
 
 FAST = Limits(warning_um=500, stop_um=1000, slew_um_s=1e6, acceleration_um_s2=1e10)
 SLOW = Limits(warning_um=50, stop_um=100, slew_um_s=20, acceleration_um_s2=400)
 NS = 10**9
-
-PLAIN_NJIT = "def njit(f=None, **options):\n    return f or (lambda g: g)\n"
 
 MACHINE = machine_from(
     {
@@ -137,11 +134,7 @@ def test_without_numba_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None
     data = samples(250, compiled)
     wanted = compiled.run(data)
     plain = Step(settings(SLOW))
-    module: dict[str, Any] = {}
-    exec(f"import math\n{PLAIN_NJIT}\n{plain.source.text}", module)  # noqa: S102 - our own text
-    for name in ("move", "ledger_update", "direction_update", "lag_update"):
-        monkeypatch.setitem(module, name, jit.as_written(module[name]))
-    monkeypatch.setattr(plain, "_step", module["step"])
+    monkeypatch.setattr(plain, "_step", plain_module(plain.source.text).step)
     found = plain.run(data)
     np.testing.assert_allclose(found.applied_um, wanted.applied_um, atol=1e-12)
     np.testing.assert_array_equal(found.output, wanted.output)
