@@ -69,6 +69,7 @@ proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines; tests
 	$(BIN)/python -m tests.ball_bar.ball_bar_proof
 	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n 0 tests/metrology/test_grid_encoder.py \
 	  tests/diagnosis/test_compare_locate.py tests/real/test_real_fit.py tests/discovery/test_discovery.py \
+	  tests/characterise/test_characterise_choose.py \
 	  tests/sim/test_campaign.py tests/daemon/test_ring.py tests/hil/test_kill.py
 
 reference: $(STAMP)  ## the page of all keys, off the models that check the files
