@@ -32,7 +32,8 @@ from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
-from rtec.estimation.targets import WAVES, predicts_targets
+from rtec.estimation.targets import FEW as FEW_TARGETS
+from rtec.estimation.targets import WAVES, predicts_targets, targets_along
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.model.fit import Margin
@@ -199,7 +200,24 @@ def _further_rules(
     single = (*rules.single, cancelling) if cancelling and cancelling not in rules.single else rules.single
     waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not named(t)]
     barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
-    return replace(rules, single=single, barred=barred)
+    return replace(rules, single=single, barred=barred | _crowded(readings, fit.terms[fixed:], named))
+
+
+def _crowded(readings: Readings, terms: Sequence[Term], named: Callable[[Term], bool]) -> frozenset[Drive]:
+    """Drive of the richest curve along an axis that has more numbers than half of the targets, with its neighbours.
+
+    Together they would meet every target, and be anything between them.
+    """
+    machine, barred = readings.machine, set()
+    for axis in machine.axes:
+        along = [t for t in terms if t.effect.channels(machine) == (axis.channel,) and not isinstance(t.effect, WAVES)]
+        for component in {t.effect.component for t in along}:
+            mine = [(t, len(t.effect.coefficients(machine))) for t in along if t.effect.component == component]
+            free = [(t, n) for t, n in mine if n > 1 and not named(t)]
+            count = targets_along(readings, axis, component)
+            if free and count <= FEW_TARGETS and sum(n for _, n in mine) > count / 2.0:
+                barred.add(drive(max(free, key=lambda f: f[1])[0].effect))
+    return frozenset(barred)
 
 
 def _predicts(readings: Readings, fit: Estimate, wave: Term) -> bool:

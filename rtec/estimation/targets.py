@@ -14,6 +14,7 @@ from rtec.effects import Effect
 from rtec.effects.cyclic import CouplingMisalignment, CyclicPole, CyclicScrew, InterpolationError
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.readings import Readings
+from rtec.machine import Axis
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +28,12 @@ FOLDS = 8
 LEAST = 0.2
 """Share by which a wave lowers the mean square at held-out targets; 18 random numbers exceed it once in 30."""
 RIDGE = 1e-9
+
+
+def targets_along(readings: Readings, axis: Axis, component: str) -> int:
+    """Number of different positions along an axis at which readings see a component error."""
+    position = np.concatenate([readings.states[s.source].value(axis.channel)[s.row] for s in readings.series])
+    return len(np.unique(np.round(position[np.flatnonzero(readings.arms(component))] / TARGET_MM)))
 
 
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
