@@ -210,7 +210,8 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
             if not found.any():
                 break
             wrong |= found
-    few = far.sum() <= max(MOST * n, FEW) and wrong.sum() <= max(MOST_WILD * n, FEW)
+    most = MOST_WILD if far.any() and float(np.median(np.abs(off[far]))) > GROSS * sigma else MOST
+    few = far.sum() <= max(most * n, FEW) and wrong.sum() <= max(MOST_WILD * n, FEW)
     return np.where(wrong & few, off, np.nan)
 
 

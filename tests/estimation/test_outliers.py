@@ -240,6 +240,21 @@ def test_the_numbering_of_runs_does_not_matter_where_nothing_is_anew() -> None:
     assert found(m) == found(minutes) == [40, 41, 42, 120]
 
 
+@pytest.mark.parametrize(("size", "counted"), [(900.0, True), (9.0, False)])
+def test_gross_mistakes_may_be_more_than_a_few_in_a_hundred(size: float, counted: bool) -> None:
+    """A machine that stands still, 12 of 180 readings off. Oracle: which; by so little, so many are what it does."""
+    rng = np.random.default_rng(4)
+    rows = [4, 21, 37, 52, 70, 86, 103, 119, 133, 150, 163, 175]
+    values = rng.standard_normal(180)
+    values[rows] += size * rng.choice([-1.0, 1.0], 12)
+    setup = Probe(ProbeSetup(zero="setup"), component="EX0spindle")
+    m = replace(
+        measurement(runs([180])), channels={"T_bed": np.full(180, 20.0)}, readings={"reading_um": values},
+        instrument=setup, time_s=20.0 * np.arange(180.0),
+    )  # fmt: skip
+    assert found(m) == (rows if counted else [])
+
+
 @pytest.mark.parametrize(("name", "count"), [("gross_outliers", 11), ("wrong_thermistor", 0), ("right_thermistor", 0)])
 def test_failed_homings_of_a_gantry(name: str, count: int) -> None:
     """Oracle: README of the data: 11 of 570 readings are off, by up to 4.3 mm; the other files hold none."""
