@@ -320,12 +320,25 @@ class _Edits:
             suspect, check = "its unit or its scale in the file may be wrong", "that column"
             factors = [f for f in CHANNEL_FACTORS if self._within_travel(channel, f)]
             times = [{channel: lambda s, c=channel, f=f: f * s.channels[c]} for f in factors]
+            still = self._without_change(channel)
             for factor, residual in zip(factors, self.residuals(times), strict=True):
+                if AS_GOOD * float(residual) > still:
+                    continue  # it only takes away what the model has by that channel
                 by = f"{factor:g}" if abs(factor) >= 1.0 else f"1/{1.0 / factor:g}"
                 yield _Edit(float(residual), "wrong_channel", f"{channel} times {by}", suspect, check)
             if channel in self.model.machine.sensor_names:
                 residual = self.residuals([{channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}])[0]  # type: ignore[misc]
+                if AS_GOOD * float(residual) > still:
+                    continue
                 yield _Edit(float(residual), "wrong_channel", f"{channel} read as °F", suspect, check)
+
+    def _without_change(self, channel: str) -> float:
+        """Root mean square of the residual if a channel had its median throughout."""
+        values = np.concatenate(
+            [s.channels[channel] for s in self.readings.states if channel in s.channels] or [np.zeros(1)]
+        )
+        median = float(np.nanmedian(values))
+        return float(self.residuals([{channel: lambda s: np.full(len(s), median)}])[0])
 
     def _within_travel(self, channel: str, factor: float) -> bool:
         """Whether a position times a factor is within the travel; true of all other channels."""
