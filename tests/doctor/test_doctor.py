@@ -57,7 +57,7 @@ def test_a_machine_that_is_well(tmp_path: Path) -> None:
             tmp_path,
             role,
             {
-                "box": box(peer.link, timeout_ms=900.0),  # its simulator runs in this process, on a busy computer
+                "box": box(peer.link, timeout_ms=90.0),
                 "bed": {"driver": "modbus", "serial": serial(bus.port), "slave": bed},
             },
             rate_hz=CALM_HZ,
