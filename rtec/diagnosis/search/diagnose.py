@@ -219,7 +219,7 @@ class _Search:
         effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
         if sure and (found := dead_sensor(self.readings, effect, known) or self._between_files(best)) is not None:
             self.doubts = (*self.doubts, found)
-            return not found.fatal
+            sure = not found.fatal
         return sure and not self.refits.jumps_again(best)
 
     def _between_files(self, best: Refitted) -> Doubt | None:
