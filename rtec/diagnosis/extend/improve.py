@@ -19,7 +19,7 @@ from rtec.diagnosis.extend.add import (
 from rtec.diagnosis.extend.temperatures import further_temperature, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
-from rtec.diagnosis.search.not_found import ALPHA
+from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import ModelError
 from rtec.estimation.judge import Judgement
@@ -238,7 +238,9 @@ class _Growth:
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
             # An effect that these data cannot distinguish from it may replace it, except an event at an instant.
-            others = [f for f in found.findings[1:] if f.group and f.heldout_drop > 0.0 and "t0" not in f.theta]
+            # Where several are missing together, the first alone may gain nothing: then any of the sure ones may begin.
+            others = [f for f in found.findings[1:] if f.group or (found.together and f.log_evidence > SURE)]
+            others = [f for f in others if f.heldout_drop > 0.0 and "t0" not in f.theta]
             if choice.partner is not None:  # of a pair, each alone
                 others = [choice.partner, replace(choice, partner=None)]
             others = [] if ask else others
