@@ -77,7 +77,7 @@ class Later:
             return "not named"
         right = {(effect, self.fault.component) for effect in self.fault.right}
         named = {(f.effect.effect, f.effect.component) for f in self.diagnosis.group}
-        named |= {(m.effect, m.component) for m in self.diagnosis.together}
+        named |= {(m.fitted.effect.effect, m.fitted.effect.component) for m in self.diagnosis.together}
         if self.diagnosis.verdict == "missing_effect" and named <= right:
             return "named"
         alike = {(a.effect, a.component) for a in self.diagnosis.findings[0].confused_with}

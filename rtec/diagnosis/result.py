@@ -1,7 +1,7 @@
 """Result of a diagnosis: verdict, candidates with their evidence, absent effects, untestable effects."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.doubts import Doubt
 from rtec.effects import Effect
 from rtec.estimation.judge import Judgement
+from rtec.model import FittedEffect
 from rtec.result import Result
 
 Floats = NDArray[np.float64]
@@ -191,23 +192,25 @@ class Member:
     """One of several effects that are named together.
 
     Attributes:
-        label: short name.
-        effect, component: of the catalogue.
+        fitted: the effect, with its numbers beside the others.
         heldout_drop: share of the mean square on held-out runs that it removes together with those before it.
-        rivals: short names of effects that the readings cannot distinguish from it beside those before it.
+        rivals: short names of effects that the readings cannot distinguish from it beside the others.
     """
 
-    label: str
-    effect: str
-    component: str
+    fitted: FittedEffect
     heldout_drop: float
     rivals: tuple[str, ...] = ()
 
-    @classmethod
-    def of(cls, effect: Effect, heldout_drop: float, rivals: Sequence[Effect] = ()) -> "Member":
-        """Member for an effect."""
-        labels = tuple(dict.fromkeys(map(label_of, rivals)))
-        return cls(label_of(effect), effect.effect, effect.component, heldout_drop, labels)
+    @property
+    def label(self) -> str:
+        """Short name."""
+        return label_of(self.fitted.effect)
+
+    def facts(self) -> dict[str, Any]:
+        """As plain data."""
+        effect = self.fitted.effect
+        named = {"label": self.label, "effect": effect.effect, "component": effect.component}
+        return {**named, "heldout_drop": self.heldout_drop, "rivals": self.rivals}
 
 
 @dataclass(frozen=True)
@@ -327,7 +330,7 @@ class Diagnosis(Result):
             "adequacy": self.adequacy,
             "candidates": [_finding(f) for f in self.findings],
             "unknown": _unknown(self.unknown),
-            "together": [vars(m) for m in self.together],
+            "together": [m.facts() for m in self.together],
             "not_testable": [vars(n) for n in self.not_testable],
             "absent": [vars(a) for a in self.absent],
             "judged": self.judged.facts() if self.judged is not None else None,

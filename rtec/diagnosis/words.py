@@ -6,6 +6,7 @@ Files and JSON keep the codes.
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.model import FittedEffect
@@ -174,12 +175,17 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
 
 def _together(d: Diagnosis) -> str:
     """Effects that are missing together, what each removes, and the residual without a name."""
-    before, parts = 0.0, []
-    for m in d.together:
-        either = f", or {' or '.join(m.rivals[:2])} in its place" if m.rivals else ""
-        removes = percent(m.heldout_drop - before)
-        parts.append(f"{m.label} ({removes} of the held-out mean square error{either})")
-        before = m.heldout_drop
+    falls = [after - before for before, after in pairwise([0.0, *(m.heldout_drop for m in d.together)])]
+    apart = min(falls) >= 0.0  # one that is larger without the next has no share of its own
+    parts = []
+    for m, fall in zip(d.together, falls, strict=True):
+        removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
+        either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals else []
+        parts.append(" ".join([m.label, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
+    if not apart:
+        parts[-1] += (
+            f", which together remove {percent(d.together[-1].heldout_drop)} of the held-out mean square error,"
+        )
     are = "is" if len(parts) == 1 else "are"
     named_so = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
     if d.unknown is None:

@@ -10,7 +10,7 @@ from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import Trial, build
 from rtec.diagnosis import words
 from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
-from rtec.diagnosis.result import Diagnosis, Member
+from rtec.diagnosis.result import Diagnosis, Member, label_of
 from rtec.diagnosis.search.confounded import alike, bent_part
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import effect_class
@@ -18,7 +18,7 @@ from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
-from rtec.model import Model
+from rtec.model import FittedEffect, Model
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support.diagnosis_examples import TABLE, laser
 
@@ -105,10 +105,11 @@ def test_each_of_several_effects_is_told_with_its_rivals() -> None:
         _effect("polynomial_position", component="EXX", axis="X", degrees=[2]),
         _effect("axis_expansion_nonuniform", component="EXX", axis="X", sensor="T_nut"),
     )
-    first = Member.of(_effect("angular_motion", component="EBX", axis="X"), 0.4)
+    first = Member(FittedEffect(_effect("angular_motion", component="EBX", axis="X"), {}), 0.4)
+    second = Member(FittedEffect(bow, {}), 0.5, (label_of(warm),))
     trial = _short_line(5)
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
-    told: Diagnosis = words.with_sentence(replace(d, together=(first, Member.of(bow, 0.5, [warm, warm]))), 0.1)
+    told: Diagnosis = words.with_sentence(replace(d, together=(first, second)), 0.1)
     assert "or axis_expansion_nonuniform(EXX, X, T_nut) in its place" in told.sentence
     assert told.sentence.count("T_nut") == 1
 

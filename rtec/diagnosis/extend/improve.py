@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 from rtec.diagnosis.extend.add import (
     WORTH,
     Added,
+    PassedOver,
     add,
     in_doubt,
     is_there,
@@ -234,6 +235,11 @@ class _Growth:
             choice = found.findings[0] if ask else _taken_alone(found, model.machine)
             if choice is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "ambiguous")
+            alone = ask or any(d.kind == "one_pass" for d in found.doubts)
+            several = model if alone else self._several(model, found, steps)
+            if several is not model:
+                model = several
+                continue
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
@@ -272,21 +278,42 @@ class _Growth:
         known = all(abs(v) > DETERMINED * last.errors.get(n, 0.0) for n, v in last.values.items())
         return replace(added, notes=(FURTHER, *added.notes)) if known and self._gains(added) else None
 
+    def _several(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
+        """The model with the effects that are named together, in turn; one that gains nothing alone waits for the next.
+
+        Chosen one by one, the second could explain a part of the third.
+        """
+        waiting: list[FittedEffect] = []
+        for member in found.together if len(found.together) > 1 else ():
+            waiting.append(new_effect(member.fitted.effect, model, member.fitted.theta, member.fitted.values))
+            added = self._gaining(model, waiting)
+            if added is not None:
+                rivals = tuple(PassedOver(label, None, "") for label in member.rivals)
+                model, waiting = self._taken(_passed_over(added, rivals), steps), []
+        return model
+
     def _first_gain(self, model: Model, found: Diagnosis, findings: Sequence[Finding]) -> Added | None:
         """The first addition that predicts held-out runs better on the channels that the loop has."""
         for finding in findings:
             pair = [finding] if finding.partner is None else [finding, finding.partner]
             new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
-            if any(is_there(model, n) or hardly_varied(model, n.effect, self.given.readings) for n in new):
-                continue
-            try:
-                added = self._added(model, new)
-            except ModelError:
-                continue  # confounded with the model on the channels that the loop has
-            self.cancelling = added.undetermined
-            if self._gains(added):
-                return _with_rivals(added, found, finding)
+            added = self._gaining(model, new)
+            if added is not None:
+                rivals = rivals_of(found, finding)
+                notes = rival_notes(finding, rivals) if rivals else ()
+                return replace(_passed_over(added, rivals), notes=(*notes, *added.notes))
         return None
+
+    def _gaining(self, model: Model, new: Sequence[FittedEffect]) -> Added | None:
+        """The model with effects, where they are worth it and not confounded with it on the loop's channels."""
+        if any(is_there(model, n) or hardly_varied(model, n.effect, self.given.readings) for n in new):
+            return None
+        try:
+            added = self._added(model, new)
+        except ModelError:
+            return None
+        self.cancelling = added.undetermined
+        return added if self._gains(added) else None
 
     def _added(self, model: Model, new: Sequence[FittedEffect]) -> Added:
         """The model with effects; it keeps its own numbers where the readings determine only the sum of both."""
@@ -310,14 +337,13 @@ class _Growth:
         return residual_size(added.model.effects, self.given.readings) <= (1.0 + WORTH) * self.best
 
 
-def _with_rivals(added: Added, found: Diagnosis, taken: Finding) -> Added:
-    """The same with its rivals in the notes and in the history."""
-    rivals = rivals_of(found, taken)
+def _passed_over(added: Added, rivals: tuple[PassedOver, ...]) -> Added:
+    """The same with its rivals in the history."""
     if not rivals:
         return added
     entry = {**added.model.history[-1], "passed_over": [r.facts() for r in rivals]}
     model = replace(added.model, history=(*added.model.history[:-1], entry))
-    return replace(added, model=model, notes=(*rival_notes(taken, rivals), *added.notes), passed_over=rivals)
+    return replace(added, model=model, passed_over=rivals)
 
 
 def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:

@@ -431,8 +431,11 @@ class _Answer:
         return words.with_sentence(draft, smallest, fatal, foreign)
 
     def _member(self, t: Refitted) -> Member:
-        effects = [self.s.candidates[i].effect for i in (t.number, *t.rivals)]
-        return Member.of(effects[0], t.drop, effects[1:])
+        effect, machine = self.s.candidates[t.number].effect, self.s.model.machine
+        linear = [p.name for p in effect.coefficients(machine)]
+        values = dict(zip(linear, map(float, t.fit.values[self._first(t) :][: len(linear)]), strict=True))
+        rivals = tuple(dict.fromkeys(label_of(self.s.candidates[i].effect) for i in t.rivals))
+        return Member(FittedEffect(effect, values, dict(t.theta)), t.drop, rivals)
 
     @cached_property
     def _typed(self) -> Typed | None:

@@ -349,28 +349,27 @@ class _Search:
         return chain if chain[-1].drop >= LITTLE else []
 
     def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
-        """Two simple effects that together are likelier than one of three numbers or more; empty where there are none.
+        """Simple effects that are missing together; empty where the best alone, or with others later, is the answer.
 
-        Both must be as significant as a first one: an effect of many numbers can fit two causes as well as one.
+        An effect of many numbers, or one whose shape is searched, can stand for several causes. They are named where
+        they are likelier than the best with what it needs beside it; and where the best is one of them, if only
+        together they predict held-out runs far better. Each must be as significant as a first one.
         """
-        if best.columns.shape[1] <= PLAIN:
+        bar, machine = self._prior_odds + SURE, self.model.machine
+
+        def linear(effect: Effect) -> bool:
+            return len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
+
+        sure = [t for t in refitted if t.log_evidence > bar and linear(self.candidates[t.number].effect)]
+        first = max(sure, key=lambda t: t.log_evidence, default=None)
+        chain = self.refits.chain(first, bar, linear) if first is not None else []
+        if len(chain) < 2 or chain[-1].drop < best.drop or chain[-1].log_evidence <= best.log_evidence:
             return []
-        bar = self._prior_odds + SURE
-        simple = [t for t in refitted if t.holds and t.columns.shape[1] <= PLAIN and t.log_evidence > bar]
-        out: list[Refitted] = []
-        for first in sorted(simple, key=lambda t: -t.log_evidence)[:BESIDE]:
-            for second in self.refits.beside(first):
-                width = second.columns.shape[1]
-                if self.refits.at_instant(second.number):
-                    continue
-                sure = second.holds and second.log_evidence - first.log_evidence > bar
-                if (
-                    sure
-                    and width <= PLAIN
-                    and second.log_evidence > max(best.log_evidence + WITHIN, out[1].log_evidence if out else -math.inf)
-                ):
-                    out = [first, second]
-        return out
+        # What the best needs beside it may replace it, and may have more numbers.
+        whole = self.refits.chain(best, bar, lambda _: True)
+        chain = max(chain, whole, key=lambda c: c[-1].log_evidence)
+        there = best.number in [t.number for t in chain]
+        return [] if there and not far_better(chain[-1], best) else chain
 
     def _shapes(self, best: Refitted | None) -> list[Shaped]:
         """The best shapes without a name, searched under the best estimate of the noise and under one without drift."""

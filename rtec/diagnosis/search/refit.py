@@ -299,10 +299,13 @@ BESIDE = 3
 
 AGAIN = 0.5
 """Where a second jump is larger than this share of the first, neither is a single event."""
-MOST_TOGETHER = 4
+MOST_TOGETHER = 6
 """Largest number of effects that are named together."""
+EXCHANGES = 4
+"""Rounds in which each of several effects may be replaced by another."""
 MORE = 0.05
-"""Relative fall of the mean square on held-out runs that each further effect must bring."""
+"""Relative fall of the mean square on held-out runs that each further effect must bring, and that an exchange for a
+likelier one may lose."""
 
 
 class Refits:
@@ -341,12 +344,8 @@ class Refits:
         def refit(which: tuple[Screen, int]) -> Refitted:
             self.stage("refitting the best", next(counted), len(chosen))
             weighed, number = which
-            variant = weighed.variants[weighed.best[number]]
-            theta = self._polished(number, variant.theta, weighed.projected.whitener, base)
-            columns = self._columns(number, theta)
-            fit = self.fit(np.concatenate([base, columns], axis=1))
-            evidence = fit.log_likelihood - current.log_likelihood - self._cost(columns, variant.count)
-            evidence -= weighed.search_cost(number) + self._choice_cost(number)
+            theta, columns, fit, likely = self._fitted(weighed, number, base)
+            evidence = likely - current.log_likelihood
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
             return Refitted(number, theta, columns, fit, evidence, *self._judged(number, fit.whitener, base, columns))
 
@@ -394,18 +393,30 @@ class Refits:
         found = self.weigh(first.fit.whitener, base)
 
         def refit(number: int) -> Refitted:
-            variant = found.variants[found.best[number]]
-            theta = self._polished(number, variant.theta, found.projected.whitener, base)
-            columns = self._columns(number, theta)
-            fit = self.fit(np.concatenate([base, columns], axis=1))
-            gain = fit.log_likelihood - first.fit.log_likelihood - self._cost(columns, variant.count)
-            evidence = first.log_evidence + gain - found.search_cost(number) - self._choice_cost(number)
+            theta, columns, fit, likely = self._fitted(found, number, base)
+            evidence = first.log_evidence + likely - first.fit.log_likelihood
             judged = self._judged(number, fit.whitener, base, fit.columns[:, width:])
             return Refitted(number, theta, columns, fit, evidence, *judged, base.shape[1])
 
         return self._with_rivals(
             found, each(refit, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
         )
+
+    def _fitted(self, found: Screen, number: int, base: Floats) -> tuple[Theta, Floats, Fit, float]:
+        """A candidate beside columns, (m, p): its non-linear parameters, its columns, the fit, and the log likelihood
+        less the cost of the candidate's numbers and of the choice among its like.
+
+        Args:
+            found: screen of all candidates beside the same columns.
+            number: of the candidate.
+            base: the columns.
+        """
+        variant = found.variants[found.best[number]]
+        theta = self._polished(number, variant.theta, found.projected.whitener, base)
+        columns = self._columns(number, theta)
+        fit = self.fit(np.concatenate([base, columns], axis=1))
+        cost = self._cost(columns, variant.count) + found.search_cost(number) + self._choice_cost(number)
+        return theta, columns, fit, fit.log_likelihood - cost
 
     def _with_rivals(
         self, found: Screen, refitted: Sequence[Refitted], there: Sequence[tuple[str, str]]
@@ -437,31 +448,35 @@ class Refits:
         return [i for i in found.order if i in near]
 
     def chain(self, first: Refitted, bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
-        """An effect and those that the readings require beside it, one after the other; the evidence is that of all.
+        """Effects and those that the readings require beside them, one after the other; the evidence is that of all.
 
-        Each must be as significant as a first one, and lower the error on held-out runs by `MORE`.
+        Each further one must be as significant as a first one, and lower the error on held-out runs by `MORE`. Then
+        each may be exchanged; what is exchanged may need others beside it.
 
         Args:
             first: fitted beside the model.
             bar: least gain of evidence by each.
             may: which effects may be taken.
         """
-        width, out = self.prepared.base.shape[1], [first]
+        out = self._grown([first], bar, may)
+        for _ in range(MOST_TOGETHER):
+            exchanged = self._exchanged(out, bar, may)
+            if {t.number for t in exchanged} == {t.number for t in out}:
+                break
+            out = self._grown(exchanged, bar, may)
+        return out
+
+    def _grown(self, out: list[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
+        """The same effects and those that the readings require beside them."""
+        width = self.prepared.base.shape[1]
         while len(out) < MOST_TOGETHER:
             last = out[-1]
             found = self.weigh(without_drift(last.fit.whitener), last.fit.columns)
-            # One effect of one component by two sensors is that effect of a body without a sensor of its own.
             there = [self._name(t.number) for t in out]
-            order = [i for i in self._distinct(found) if may(self.candidates[i].effect) and self._name(i) not in there]
             more: list[Refitted] = []
-            kinds = [" ".join(self._name(i)) for i in range(len(self.candidates))]
-            for number in diverse(order, kinds, BESIDE, 1):
-                variant = found.variants[found.best[number]]
-                theta = self._polished(number, variant.theta, found.projected.whitener, last.fit.columns)
-                columns = self._columns(number, theta)
-                fit = self.fit(np.concatenate([last.fit.columns, columns], axis=1))
-                gain = fit.log_likelihood - last.fit.log_likelihood - self._cost(columns, variant.count)
-                gain -= found.search_cost(number) + self._choice_cost(number)
+            for number in self._few(found, may, there):
+                theta, columns, fit, likely = self._fitted(found, number, last.fit.columns)
+                gain = likely - last.fit.log_likelihood
                 drop, left_out = self._judged(number, fit.whitener, last.fit.columns, fit.columns[:, width:])
                 if gain > bar and 1.0 - drop < (1.0 - MORE) * (1.0 - last.drop):
                     evidence = last.log_evidence + gain
@@ -470,7 +485,95 @@ class Refits:
                     )
             if not more:
                 break
-            out.append(max(self._with_rivals(found, more, there), key=lambda t: t.log_evidence))
+            out = [*out, self._plainest(self._with_rivals(found, more, there))]
+        return out
+
+    def _few(self, found: Screen, may: Callable[[Effect], bool], there: Sequence[tuple[str, str]]) -> list[int]:
+        """The best few candidates beside effects that are already fitted, one of each effect of a component.
+
+        One effect of one component by two sensors is that effect of a body without a sensor of its own.
+        """
+        order = [i for i in self._distinct(found) if may(self.candidates[i].effect) and self._name(i) not in there]
+        return diverse(order, [" ".join(self._name(i)) for i in range(len(self.candidates))], BESIDE, 1)
+
+    def _exchanged(self, members: list[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
+        """Several effects, each replaced by what is likelier beside the others; the same where nothing is.
+
+        What was chosen while others were still missing explains parts of these as well: a fading reversal error of X
+        stands for the backlash of Y. The evidence is that of all up to each one.
+
+        Args:
+            members: effects that are named together.
+            bar: least gain of evidence by each.
+            may: which effects may replace one.
+        """
+        if len(members) < 2:
+            return members
+        chosen, now, before = list(members), members[-1].fit, [0]
+        for _ in range(EXCHANGES):
+            numbers = [t.number for t in chosen]
+            if numbers == before:
+                break
+            before = numbers
+            for mine in list(chosen):
+                others = [t for t in chosen if t is not mine]
+                base = np.concatenate([self.prepared.base, *[t.columns for t in others]], axis=1)
+                found = self.weigh(without_drift(now.whitener), base)
+                there = [self._name(t.number) for t in others]
+                tried = [
+                    Refitted(n, *self._fitted(found, n, base), drop=1.0, gain=1.0)
+                    for n in dict.fromkeys([mine.number, *self._few(found, may, there)])
+                    if n in found.best
+                ]
+                without = self.fit(base)
+                tried = [t for t in tried if t.log_evidence - without.log_likelihood > bar]
+                best = [self._plainest(self._with_rivals(found, tried, there))] if tried else []
+                at = chosen.index(mine)
+                chosen[at : at + 1] = best
+                now = best[0].fit if best else without
+        if [t.number for t in chosen] == [t.number for t in members]:
+            return members
+        ordered = self._in_order(chosen, bar)
+        no_worse = ordered and 1.0 - ordered[-1].drop <= (1.0 + MORE) * (1.0 - members[-1].drop)
+        return ordered if no_worse else members
+
+    def _plainest(self, tried: Sequence[Refitted]) -> Refitted:
+        """The likeliest; of those that are nearly as likely, one that shows most directly, then what fewest drive."""
+        top = max(t.log_evidence for t in tried)
+        near = [t for t in tried if top - t.log_evidence < WITHIN]
+        machine = self.readings.machine
+
+        def plain(t: Refitted) -> tuple[int, int, float]:
+            effect = self.candidates[t.number].effect
+            return directness(effect, machine), len(effect.channels(machine)), -t.log_evidence
+
+        return min(near, key=plain)
+
+    def _in_order(self, members: Sequence[Refitted], bar: float) -> list[Refitted]:
+        """Effects one after the other, the one first that lowers the error on held-out runs most beside those before.
+
+        Args:
+            members: each fitted beside all others; the evidence of each is the log likelihood less its cost.
+            bar: one that gains less evidence is omitted.
+        """
+        costs = {t.number: t.fit.log_likelihood - t.log_evidence for t in members}
+        width, base, left, out = self.prepared.base.shape[1], self.prepared.base, list(members), list[Refitted]()
+        evidence = -self.current.log_likelihood
+        while left:
+            tried = []
+            for t in left:
+                fit = self.fit(np.concatenate([base, t.columns], axis=1))
+                drop, gain = self._judged(t.number, fit.whitener, base, fit.columns[:, width:])
+                before = base.shape[1] if out else None
+                likely = evidence + fit.log_likelihood - costs[t.number]
+                tried.append(replace(t, fit=fit, log_evidence=likely, drop=drop, gain=gain, before=before))
+            least = bar + (out[-1].log_evidence if out else 0.0)
+            best = max((t for t in tried if t.log_evidence > least), key=lambda t: t.drop, default=None)
+            if best is None:
+                break
+            out.append(best)
+            base, evidence = best.fit.columns, evidence - costs[best.number]
+            left = [t for t in left if t.number != best.number]
         return out
 
     def _name(self, number: int) -> tuple[str, str]:

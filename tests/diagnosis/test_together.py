@@ -1,0 +1,77 @@
+"""Several effects that are missing together on a ball bar; oracle: the mechanism of [BB], written down by hand."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from rtec.sim.campaign.truth import effect_from_text
+from tests.support.ball_bar_dynamic import Test, moved_um, screw_machine
+from tests.support.ball_bar_examples import bar, bb_reading_um, recorded
+
+CIRCLES = (
+    Test(0.0, 150.0, "ccw"),
+    Test(60.0, 150.0, "cw"),
+    Test(60.0, 150.0, "ccw"),
+    Test(0.0, 150.0, "cw", 3000.0),
+)
+SQUARE = {"squareness", "guide_twist", "angular_motion"}
+"""A roll that grows evenly along X is a squareness at every height of the ball."""
+LAG = {"servo_lag"}
+CAUSES: dict[str, tuple[dict[str, float], dict[str, float], list[set[str]]]] = {
+    "two clearances": ({"dx": 3.0, "dy": 5.0}, {}, [{"backlash EXX"}, {"backlash EYY"}]),
+    "a clearance and a squareness": ({"dx": 3.0, "thetax": 12e-6}, {}, [{"backlash EXX"}, SQUARE]),
+    "a clearance and a delay": ({"dx": 3.0}, {"delay": 0.2}, [{"backlash EXX"}, LAG]),
+    "four": (
+        {"dx": 3.0, "dy": 6.0, "thetax": 18e-6},
+        {"delay": 0.2},
+        [{"backlash EXX"}, {"backlash EYY"}, SQUARE, LAG],
+    ),
+}
+
+
+def circles(static: Mapping[str, float], dynamic: Mapping[str, float]) -> list[Measurement]:
+    m, rng, out = screw_machine(), np.random.default_rng(4), []
+    for i, t in enumerate(CIRCLES):
+        instrument = bar(m, height_mm=t.h, radius_mm=t.r, direction=t.sense, feed_mm_min=t.feed)
+        angle = instrument.setup.sense * np.arange(0.375, 360.0, 0.75)
+        moved = moved_um(np.radians(angle), t, dynamic)
+        reading = bb_reading_um(np.radians(angle), t.r, t.h, instrument.setup.sense, moved, ex=5.0, ey=5.0, **static)
+        out.append(recorded(m, instrument, angle, reading + 0.2 * rng.standard_normal(len(angle)), f"test{i}"))
+    return out
+
+
+def base() -> Model:
+    machine = screw_machine()
+    return Model(machine, tuple(effect_from_text(f"scale,component=E{a}{a},axis={a},k=0", machine) for a in "XY"))
+
+
+@pytest.mark.parametrize("what", CAUSES)
+def test_each_of_several_is_named_and_nothing_that_stands_for_several(what: str) -> None:
+    """A fading reversal error of one axis explains part of the clearance of the other, while that is missing."""
+    static, dynamic, causes = CAUSES[what]
+    found = diagnose(base(), circles(static, dynamic), draws=100)
+    assert len(found.together) == len(causes), found.sentence
+    for cause in causes:
+        assert any(is_one(m.label, cause) for m in found.together), found.sentence
+
+
+def is_one(label: str, cause: set[str]) -> bool:
+    """Whether a label as `backlash(EXX, X)` is of a cause."""
+    effect, rest = label.split("(")
+    return effect in cause or f"{effect} {rest[:3]}" in cause
+
+
+def test_improve_adds_each_and_no_other() -> None:
+    static, dynamic, causes = CAUSES["four"]
+    done = improve(base(), circles(static, dynamic), draws=100)
+    assert done.reason == "at_floor"
+
+    for cause in causes:
+        assert any(
+            f.effect.effect in cause or f"{f.effect.effect} {f.effect.component}" in cause for f in done.model.effects
+        )
