@@ -54,6 +54,7 @@ class Studio:
         """One page of one tab."""
         name = named(name, self._live is not None)
         ui.add_css(STYLE.read_text(encoding="utf-8"))
+        ui.add_body_html(f"<script>{TELL_OF_BACK}</script>")
         dark = ui.dark_mode(None)
         shell = ui.element("div").classes("shell")
         client = ui.context.client
@@ -127,7 +128,6 @@ class _Frame:
         session.on_progress, session.on_change, session.go = self._show_progress, self._build, self.go
         session.on_names = self._show_names
         ui.on(WENT, lambda event: self._follow(str(event.args)))
-        ui.run_javascript(TELL_OF_BACK)
         self._build()
         self._show_progress()
 

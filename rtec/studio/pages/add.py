@@ -1,7 +1,6 @@
 """Add and watch: adds effects, moves the residual, and shows the staircase of errors down to the noise floor."""
 
 from functools import partial
-from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,20 @@ from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
 from rtec.studio.pages.compare import worst
 from rtec.studio.pages.expression import own_expression
-from rtec.studio.parts import Area, Words, button, command, draft, heading, lacking, section, trouble, waiting
+from rtec.studio.parts import (
+    Area,
+    Named,
+    Words,
+    button,
+    command,
+    draft,
+    heading,
+    lacking,
+    section,
+    shell,
+    trouble,
+    waiting,
+)
 from rtec.studio.session import ModelStep, TabSession
 from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
 from rtec.wording import percent, probability, two_numbers
@@ -185,11 +197,12 @@ def commands(session: TabSession, out: str) -> list[str]:
         if kind == "improve":
             if not last and session.steps[k + 1].words[0] == "improve":
                 continue  # one command for all of its steps
-            lines.append(["rtec", "improve", source, *session.chosen, "-o", target])
+            lines.append(["rtec", "improve", Named(source), *map(Named, session.chosen), "-o", Named(target)])
         else:
-            lines.append(["rtec", "add", source, *rest, "--data", *session.chosen, "-o", target])
+            given = ["--data", *map(Named, session.chosen), "-o", Named(target)]
+            lines.append(["rtec", "add", Named(source), *rest, *given])
         source = target
-    return [" ".join(quote(w) for w in line) for line in lines]
+    return [shell(line) for line in lines]
 
 
 def _save(session: TabSession) -> None:
