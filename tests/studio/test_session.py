@@ -77,25 +77,30 @@ def _changed(session: TabSession) -> None:
     path.write_bytes(path.read_bytes() + b"\n")
 
 
+def _state(session: TabSession) -> tuple[tuple[str, ...], int]:
+    """Names of the changed files, and the number of steps."""
+    return session.outdated, len(session.steps)
+
+
 def test_a_file_that_changed_is_forgotten_only_if_nothing_was_added(session: TabSession) -> None:
     """Nor while work goes on that may use it. What was brought back is as old as it was."""
     session.read = session.stamps()
-    assert session.outdated == ()
+    assert _state(session) == ((), 1)
     session.job = Job("Comparing", lambda: None)
     _changed(session)
     session.look_at_chosen()
-    assert (session.outdated, len(session.steps)) == (("model.toml",), 1)
+    assert _state(session) == (("model.toml",), 1)
     session.job = None
     session.push(ModelStep(session.steps[0].model, "backlash", ("add",)))
     session.look()
-    assert (session.outdated, len(session.steps)) == (("model.toml",), 2)
+    assert _state(session) == (("model.toml",), 2)
     session.choose()
-    assert (session.outdated, session.steps) == ((), ())
+    assert _state(session) == ((), 0)
     session.bring_back()
-    assert (session.outdated, len(session.steps)) == (("model.toml",), 2)
+    assert _state(session) == (("model.toml",), 2)
     session.steps, session.at = session.steps[:1], 0
     session.look()
-    assert (session.outdated, session.steps) == ((), ())
+    assert _state(session) == ((), 0)
 
 
 def test_a_measurement_that_changed_is_listed_anew(session: TabSession) -> None:
