@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
 AT_FLOOR = 1.1
 WORSE = "with the model the error is larger than without one"
+EXPLAINED = "Explained: share of the measured mean square error, without the noise."
 
 
 def compare_page(c: Comparison, figures: bool = True) -> Page:
@@ -60,7 +61,7 @@ def _brief(c: Comparison) -> Table:
         for i in c.items
     ]
     head = ("measurement", "measured", "residual", "noise floor", "explained", "unit")
-    return Table(head, rows, "Root mean squares; explained: share of the mean square above the noise floor.", (0, 5))
+    return Table(head, rows, f"Root mean squares. {EXPLAINED}", (0, 5))
 
 
 def _digits(c: Comparison) -> int:
@@ -132,7 +133,10 @@ def _numbers(c: Comparison) -> list[tuple[str, str]]:
         ("measured", "residual", "noise floor"), sizes(first.measured.rms, first.left.rms, first.floor), strict=True
     )
     out = [(f"{size}\u00a0{UNITS[first.unit]}", name) for name, size in named]
-    return out if first.explained is None else [*out, (_share(first), "of what is above the noise explained")]
+    if first.explained is None:
+        return out
+    share = _share(first) if first.explained > 0.0 else "nothing"
+    return [*out, (share, "of the mean square error is explained")]
 
 
 def _share(item: Compared) -> str:
@@ -157,7 +161,7 @@ def _table(c: Comparison) -> Section:
         for i in c.items
     ]
     head = ("measurement", "readings", "measured", "predicted", "residual", "noise floor", "explained", "unit")
-    caption = "Root mean square / largest. Explained: share of the mean square above the noise floor."
+    caption = f"Root mean square / largest. {EXPLAINED}"
     bad = [f"{_name(i, c)}: {WORSE}." for i in c.items if (i.explained or 0.0) < 0.0]
     none = [
         f"{_name(i, c)}: nothing to explain; the readings are hardly more than noise."

@@ -36,7 +36,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
         numbers=[
             (f"{residual}\u00a0{unit}", "residual of the model"),
             (f"{floor}\u00a0{unit}", "noise floor"),
-            *([(probability(d.findings[0].confidence), "probability of rank 1")] if d.group else []),
+            *([(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []),
         ],
         sections=[
             *_to_type(d),

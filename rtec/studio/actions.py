@@ -12,10 +12,12 @@ async def read_model(session: TabSession) -> bool:
     if session.lacks:
         return False
     if not session.steps:
+        read = session.stamps()
         model = await session.work("Reading the model", tasks.load_model, session.model_path, session.machine_path)
         if model is None:
             return False
         session.steps, session.at = (ModelStep(model, f"{session.model} as it is"),), 0
+        session.read = read
     return True
 
 

@@ -1,6 +1,7 @@
 """The application with the pages: one process for all tabs, one session a tab, with one page at a time."""
 
 import asyncio
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib import import_module, resources
@@ -9,7 +10,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
 from fastapi import FastAPI
-from nicegui import Client, events, ui
+from nicegui import Client, background_tasks, events, ui
 from nicegui import app as pages_app
 
 from rtec.studio import jobs
@@ -29,6 +30,11 @@ MOST_TABS: Final = 32
 WARM_UP_S: Final = 0.5
 """Time after a page is sent in which the server leaves the processor to the browser, s."""
 MODULES: Final = {"import": "importing"}
+STEP_PAGES: Final = ("compare", "diagnose", "add", "explore", "report")
+"""Pages on what was made from the chosen files."""
+WENT: Final = "went"
+"""Event of a browser that went back or forward, with the path."""
+TELL_OF_BACK: Final = f'window.addEventListener("popstate", () => emitEvent("{WENT}", location.pathname))'
 STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
 
 
@@ -46,9 +52,9 @@ class Studio:
 
     async def page(self, name: str = "") -> None:
         """One page of one tab."""
-        if name not in (*PAGES, *BESIDE):
-            name = "live" if self._live is not None else "measurements"
+        name = named(name, self._live is not None)
         ui.add_css(STYLE.read_text(encoding="utf-8"))
+        ui.add_body_html(f"<script>{TELL_OF_BACK}</script>")
         dark = ui.dark_mode(None)
         shell = ui.element("div").classes("shell")
         client = ui.context.client
@@ -77,6 +83,18 @@ class Studio:
                     oldest.job.cancel()
             self._sessions[tab] = TabSession(self._folder, live=self._live)
         return self._sessions[tab]
+
+
+def named(name: str, live: bool) -> str:
+    """Name of the page of an address; the first page where the address names none.
+
+    Args:
+        name: path of the address, without slashes.
+        live: whether a daemon is attached.
+    """
+    if name in (*PAGES, *BESIDE):
+        return name
+    return "live" if live else "measurements"
 
 
 async def _tab(client: Client) -> str | None:
@@ -109,17 +127,38 @@ class _Frame:
         self._main = ui.element("div").classes("page")
         session.on_progress, session.on_change, session.go = self._show_progress, self._build, self.go
         session.on_names = self._show_names
+        ui.on(WENT, lambda event: self._follow(str(event.args)))
         self._build()
         self._show_progress()
 
     def go(self, name: str) -> None:
         """Show another page."""
-        self._name = name
-        self._session.fail("")
         with self._client:
             ui.navigate.history.push(f"/{name}")
             ui.run_javascript("window.scrollTo(0, 0)")
-        self._build()
+        self._show(name)
+
+    def _follow(self, path: str) -> None:
+        """Show the page of an address to which the browser went back or forward."""
+        self._show(named(path.strip("/"), self._session.live is not None))
+
+    def _show(self, name: str) -> None:
+        self._name = name
+        self._session.fail("")
+        if name == "measurements":
+            self._session.look()  # the folder may have changed since the tab was opened
+        else:
+            self._session.look_at_chosen()
+        if _is_loaded(name):
+            self._build()
+        else:
+            background_tasks.create(self._load_and_build(name), name=f"page {name}")
+
+    async def _load_and_build(self, name: str) -> None:
+        """Show a page whose module is not loaded yet; the server answers meanwhile."""
+        await asyncio.to_thread(_module, name)
+        if self._name == name:
+            self._build()
 
     def _theme(self, event: events.ValueChangeEventArguments[str]) -> None:
         self._dark.value = {"auto": None, "light": False, "dark": True}[event.value]
@@ -136,7 +175,27 @@ class _Frame:
             self._main.clear()
             with self._main:
                 _module(self._name).build(self._session)
+                self._show_outdated()
                 self._show_trouble()
+
+    def _show_outdated(self) -> None:
+        """Show at the head of a page which files were changed since it was made from them."""
+        s = self._session
+        names = s.outdated if self._name in STEP_PAGES else ()
+        if not names:
+            return
+        with ui.element("div").classes("card bad").props('role="alert"') as head:
+            were = "was" if len(names) == 1 else "were"
+            Words("p", f"{', '.join(names)} {were} changed by another program. This page shows what was made before.")
+            with ui.element("div").classes("row"):
+                button("Begin again with the changed files", self._begin_again)
+            if s.at > 0 and s.at not in s.saved:
+                Words("p", "What was added is put aside then; the page Measurements brings it back.", "small")
+        head.move(target_index=1)
+
+    def _begin_again(self) -> None:
+        self._session.choose()
+        self._build()
 
     def _show_trouble(self) -> None:
         """Show why a job failed at the head of the page, unless the error belongs to a place or field."""
@@ -233,4 +292,14 @@ async def _warm_up() -> None:
 
 def _module(name: str) -> ModuleType:
     """The module of a page, loaded at its first use."""
-    return import_module(f"rtec.studio.pages.{MODULES.get(name, name)}")
+    return import_module(_module_name(name))
+
+
+def _module_name(name: str) -> str:
+    return f"rtec.studio.pages.{MODULES.get(name, name)}"
+
+
+def _is_loaded(name: str) -> bool:
+    """Whether the module of a page was executed to its end: another thread may be loading it."""
+    spec = getattr(sys.modules.get(_module_name(name)), "__spec__", None)
+    return spec is not None and not getattr(spec, "_initializing", False)

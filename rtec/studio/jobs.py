@@ -109,6 +109,7 @@ class Job:
         self._changed, self._asked = changed, asked
         self._process: ForkServerProcess | None = None
         self._ended: asyncio.Future[Any] | None = None
+        self._reading: asyncio.Task[None] | None = None
 
     async def run(self, task: Callable[[Reporter, *Ts], R], *args: *Ts) -> R:
         """Run a task in its process; give the result.
@@ -128,23 +129,33 @@ class Job:
                 raise RtecError(f"no process could be started that works on it: {e!r}; is there enough memory?") from e
             finally:
                 there.close()
-            loop.add_reader(here.fileno(), self._read, here)
+            loop.add_reader(here.fileno(), self._arrived, here)
             result: R = await self._ended
             return result
         finally:
             loop.remove_reader(here.fileno())
-            here.close()
             if self._process.is_alive():
                 self._process.kill()
+            if self._reading is not None:
+                await self._reading  # the pipe is read in a thread, which ends with the process
+            here.close()
 
     def cancel(self) -> None:
         """End the process."""
         if self._ended is not None and not self._ended.done():
             self._ended.set_exception(Cancelled(self.title))
 
-    def _read(self, pipe: "Connection[Any, Any]") -> None:
+    def _arrived(self, pipe: "Connection[Any, Any]") -> None:
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(pipe.fileno())
+        self._reading = loop.create_task(self._read(pipe))
+
+    async def _read(self, pipe: "Connection[Any, Any]") -> None:
+        """Take one message. A thread reads it, as a result may be large, and may need modules that are not loaded."""
         try:
-            self._take(pipe, *pipe.recv())
+            self._take(pipe, *await asyncio.to_thread(pipe.recv))
+            if self._ended is not None and not self._ended.done():
+                asyncio.get_running_loop().add_reader(pipe.fileno(), self._arrived, pipe)
         except (EOFError, OSError):
             self._fail("the process that worked on it ended; is there enough memory?")
         except Exception as e:  # noqa: BLE001 - else the page would wait for ever

@@ -4,6 +4,7 @@ import contextlib
 import re
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from nicegui import background_tasks, events, ui
@@ -236,10 +237,25 @@ def section(content: "Section", *, opened: bool = False) -> None:
             table(content.table)
 
 
+class Named(str):
+    """Name of a file in a command."""
+
+    __slots__ = ()
+
+
+def shell(words: Sequence[str]) -> str:
+    """A command of a shell. A file of the folder whose name begins with a dash is no option.
+
+    Args:
+        words: the command, its options and files; files are `Named`.
+    """
+    return " ".join(quote(f"./{w}" if isinstance(w, Named) and w.startswith("-") else w) for w in words)
+
+
 def command(text: str, label: str = "") -> None:
     """A command that can be copied."""
     if label:
         Words("p", label, "small")
     with ui.element("div").classes("row"):
-        Words("div", text, "command").props(f'tabindex=0 aria-label="{"command"}"')
+        Words("div", text, "command").props('tabindex=0 aria-label="command"')
         button("Copy", lambda: ui.clipboard.write(text))

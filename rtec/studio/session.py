@@ -69,12 +69,16 @@ class ForeignFile:
     machine: str = ""
 
 
+Stamp = tuple[int, int]
+"""Time of the last change of a file, ns, and its size in bytes."""
+
+
 @dataclass(frozen=True)
 class SetAside:
     """What was added and not saved when other files were chosen.
 
     Attributes:
-        machine, model, chosen, steps, at, saved: as in `TabSession`, at that moment.
+        machine, model, chosen, steps, at, saved, read: as in `TabSession`, at that moment.
     """
 
     machine: str
@@ -83,6 +87,7 @@ class SetAside:
     steps: tuple[ModelStep, ...]
     at: int
     saved: Mapping[int, str]
+    read: Mapping[str, Stamp]
 
     @property
     def words(self) -> str:
@@ -99,10 +104,11 @@ class TabSession:
         listing: its files.
         machine, model: names of the chosen files; empty: none yet.
         chosen: names of the chosen measurements.
-        summaries: summaries of all measurements.
+        summaries: summaries of all measurements; `listed` has the stamps of their files at that time.
         steps: the model of the file, and after each addition; `at` is the current one (undo and redo).
         saved: name of the file of a saved step, by number of the step.
         aside: additions to models that are no longer chosen, the latest last; they are not saved.
+        read: stamps of the files from which the steps were made, by name.
         written: content of the files that this tab wrote, by name.
         job: the running job, or None.
         trouble: why the last job failed, in a sentence; `beside` is the place or field of a page to which it belongs.
@@ -123,10 +129,12 @@ class TabSession:
     model: str = ""
     chosen: tuple[str, ...] = ()
     summaries: dict[str, Summary] = field(default_factory=dict)
+    listed: dict[str, Stamp | None] = field(default_factory=dict)
     steps: tuple[ModelStep, ...] = ()
     at: int = 0
     saved: dict[int, str] = field(default_factory=dict)
     aside: tuple[SetAside, ...] = ()
+    read: Mapping[str, Stamp] = field(default_factory=dict)
     written: dict[str, bytes] = field(default_factory=dict)
     job: Job | None = None
     trouble: str = ""
@@ -176,7 +184,8 @@ class TabSession:
     def look(self) -> None:
         """Read the folder's listing; deleted files are no longer chosen, and the only one of its kind is chosen.
 
-        A deleted model stays chosen while additions to it are not saved.
+        A deleted model stays chosen while additions to it are not saved. Files that were changed are read again,
+        unless additions were made from them: then `outdated` has their names.
         """
         try:
             self.listing = self.folder.listing()
@@ -189,6 +198,34 @@ class TabSession:
             self.model = model
             self.forget()
         self.chosen = tuple(n for n in self.chosen if n in self.listing.measurements)
+        listed = {n: self._stamp(n) for n in self.listing.measurements}
+        self.summaries = {n: s for n, s in self.summaries.items() if listed.get(n) == self.listed.get(n)}
+        self.listed = listed
+        self.look_at_chosen()
+
+    def look_at_chosen(self) -> None:
+        """Forget what was read from a chosen file that was changed since, unless additions were made from it."""
+        if self.outdated and len(self.steps) <= 1 and self.job is None:
+            self.forget()
+
+    @property
+    def outdated(self) -> tuple[str, ...]:
+        """Names of the files that were changed since the steps were made from them."""
+        return tuple(n for n, stamp in self.read.items() if self._stamp(n) not in (stamp, None))
+
+    def stamps(self) -> dict[str, Stamp]:
+        """Stamps of the machine, the model and the chosen measurements, by name."""
+        found = {n: self._stamp(n) for n in (self.machine, self.model, *self.chosen)}
+        return {n: stamp for n, stamp in found.items() if stamp is not None}
+
+    def _stamp(self, name: str) -> Stamp | None:
+        """Stamp of a file; of a table with that of the TOML beside it; None where it is not there."""
+        try:
+            path = self.folder.existing(name)
+            found = [p.stat() for p in {path, path.with_suffix(".toml")}]
+        except (OSError, RtecError):
+            return None
+        return max(s.st_mtime_ns for s in found), sum(s.st_size for s in found)
 
     def choose(
         self, *, machine: str | None = None, model: str | None = None, chosen: tuple[str, ...] | None = None
@@ -199,7 +236,7 @@ class TabSession:
             machine, model, chosen: names of the files; None: as before.
         """
         if self.at > 0 and self.at not in self.saved:
-            now = SetAside(self.machine, self.model, self.chosen, self.steps, self.at, self.saved)
+            now = SetAside(self.machine, self.model, self.chosen, self.steps, self.at, self.saved, self.read)
             self.aside = (*self.aside, now)
         self.machine = self.machine if machine is None else machine
         self.model = self.model if model is None else model
@@ -213,11 +250,12 @@ class TabSession:
             self.summaries = {}
         self.choose(machine=last.machine, model=last.model, chosen=last.chosen)
         self.aside = (*others, *self.aside[len(others) + 1 :])
-        self.steps, self.at, self.saved = last.steps, last.at, dict(last.saved)
+        self.steps, self.at, self.saved, self.read = last.steps, last.at, dict(last.saved), last.read
 
     def forget(self) -> None:
         """Remove all steps, because the model or the measurements changed."""
         self.steps, self.at, self.saved, self.improved, self.rank = (), 0, {}, "", 1
+        self.read = {}
 
     def push(self, step: ModelStep) -> None:
         """Add a step after the current one; undone steps are removed."""

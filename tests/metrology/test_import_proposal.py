@@ -38,7 +38,7 @@ def test_five_foreign_tables_are_one_command_away(way: str, tmp_path: Path, caps
     assert status(["import", str(file), "--machine", str(TURNING), *answers, *out]) == 0
     said = capsys.readouterr().out
     assert "66 rows out" in said
-    assert "What read it? laser_linear" in said  # assumed, and so said
+    assert "Which instrument took the readings? laser_linear" in said  # assumed, and so said
     m = load_measurement(tmp_path / "laser-x.csv", MACHINE)
     t, x, e, nut = (np.array(v) for v in zip(*data, strict=True))
     np.testing.assert_array_equal(m.time_s, t)

@@ -98,6 +98,20 @@ def test_what_goes_wrong_is_one_error_with_a_sentence(task: Callable[[Reporter],
         _run(lambda: Job("failing", lambda: None).run(task))
 
 
+class _WhereItIsRead:
+    def __reduce__(self) -> Any:
+        return threading.get_ident, ()
+
+
+def _gives_where_it_is_read(_: Reporter) -> _WhereItIsRead:
+    return _WhereItIsRead()
+
+
+def test_a_result_is_read_beside_the_pages() -> None:
+    """A large one, or one whose modules must be loaded first, would stop them. Oracle: the thread of the pages."""
+    assert _run(lambda: Job("reading", lambda: None).run(_gives_where_it_is_read)) != threading.get_ident()
+
+
 def test_a_result_that_cannot_be_read_is_one_error_too() -> None:
     """Nobody would hear of it, and the page would wait for ever. So it is with a page that cannot show a question."""
     with pytest.raises(RtecError, match="a fault of rtec itself: LookupError"):

@@ -8,7 +8,8 @@ import pytest
 import rtec
 from rtec.model import Model, save_model
 from rtec.studio import tasks
-from rtec.studio.folder import Folder
+from rtec.studio.folder import Folder, Summary
+from rtec.studio.jobs import Job
 from rtec.studio.session import ModelStep, TabSession
 from tests.studio.studio_rig import MACHINE
 from tests.studio.test_tasks import Silent
@@ -68,6 +69,52 @@ def test_an_addition_that_is_saved_or_undone_is_not_put_aside(session: TabSessio
     session.steps, session.at = (ModelStep(Model(rtec.load_machine(MACHINE), ()), "as it is"),), 0
     session.choose(model="")
     assert session.aside == ()
+
+
+def _changed(session: TabSession) -> None:
+    """The model's file, by another program."""
+    path = session.folder.root / "model.toml"
+    path.write_bytes(path.read_bytes() + b"\n")
+
+
+def _state(session: TabSession) -> tuple[tuple[str, ...], int]:
+    """Names of the changed files, and the number of steps."""
+    return session.outdated, len(session.steps)
+
+
+def test_a_file_that_changed_is_forgotten_only_if_nothing_was_added(session: TabSession) -> None:
+    """Nor while work goes on that may use it. What was brought back is as old as it was."""
+    session.read = session.stamps()
+    assert _state(session) == ((), 1)
+    session.job = Job("Comparing", lambda: None)
+    _changed(session)
+    session.look_at_chosen()
+    assert _state(session) == (("model.toml",), 1)
+    session.job = None
+    session.push(ModelStep(session.steps[0].model, "backlash", ("add",)))
+    session.look()
+    assert _state(session) == (("model.toml",), 2)
+    session.choose()
+    assert _state(session) == ((), 0)
+    session.bring_back()
+    assert _state(session) == (("model.toml",), 2)
+    session.steps, session.at = session.steps[:1], 0
+    session.look()
+    assert _state(session) == ((), 0)
+
+
+def test_a_measurement_that_changed_is_listed_anew(session: TabSession) -> None:
+    """Its TOML counts too. Oracle: which summaries are kept."""
+    root = session.folder.root
+    for name in ("a", "b", "c"):
+        (root / f"{name}.csv").write_text("time_s\n1\n")
+        (root / f"{name}.toml").write_text('[measurement]\ninstrument = "laser_linear"\n')
+    session.look()
+    session.summaries = {n: Summary(n) for n in session.listing.measurements}
+    (root / "b.csv").write_text("time_s\n1\n2\n")
+    (root / "c.toml").write_text('[measurement]\ninstrument = "laser_linear"\naxis = "X"\n')
+    session.look()
+    assert list(session.summaries) == ["a.csv"]
 
 
 def test_of_a_long_table_some_readings_are_previewed(tmp_path: Path) -> None:

@@ -432,9 +432,8 @@ def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _An
             continue
         choices = tuple(str(c) for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a))
         default = None if needed else str(list(info.default))
-        text = (
-            f"{name} of the {instrument}?" if needed else f"{name}, from the tool tip to where the {instrument} reads?"
-        )
+        where = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
+        text = f"{name} of the {instrument}?" if needed else where
         answer = asker.ask(f"setup.{name}", text, choices, default, EXAMPLES.get(name, ""))
         if answer is not None:
             out[name] = answer if choices else _value(answer, name, asker.source)

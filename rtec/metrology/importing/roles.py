@@ -468,7 +468,7 @@ class ColumnRoles:
         has_reading = any(n.startswith("reading") for n in self.columns)
         if not head.get("instrument"):
             usual = "laser_linear" if has_reading and nominal and not angle else None
-            answer = self.ask("instrument", "What read it?", tuple(INSTRUMENTS), usual)
+            answer = self.ask("instrument", "Which instrument took the readings?", tuple(INSTRUMENTS), usual)
             if answer:
                 head["instrument"] = answer
         kind = INSTRUMENTS.get(head.get("instrument", ""))

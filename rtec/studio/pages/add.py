@@ -1,7 +1,6 @@
 """Add and watch: adds effects, moves the residual, and shows the staircase of errors down to the noise floor."""
 
 from functools import partial
-from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,28 @@ from rtec.model.history import steps_of
 from rtec.report.history import stairs
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
-from rtec.studio.pages.compare import worst
+from rtec.studio.pages.compare import worst_first
 from rtec.studio.pages.expression import own_expression
-from rtec.studio.parts import Area, Words, button, command, draft, heading, lacking, section, trouble, waiting
+from rtec.studio.parts import (
+    Area,
+    Named,
+    Words,
+    button,
+    command,
+    draft,
+    heading,
+    lacking,
+    section,
+    shell,
+    trouble,
+    waiting,
+)
 from rtec.studio.session import ModelStep, TabSession
 from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
 from rtec.wording import percent, probability, two_numbers
+
+MOST_RESIDUALS = 3
+"""Largest number of reading columns whose residual is drawn; more would move too slowly."""
 
 
 def build(session: TabSession) -> None:
@@ -42,7 +57,7 @@ def build(session: TabSession) -> None:
     _toolbar(session)
     with ui.element("div").classes("plots"):
         _stairs(session, step)
-        _residual(session, step.compared)
+        _residuals(session, step.compared)
     own_expression(session)
     if step.added is not None:
         for part in step.added.page.sections[:1]:
@@ -134,20 +149,25 @@ def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list
     return names, [float(e) for e in errors], floor, UNITS.get(unit, unit), at
 
 
-def _residual(session: TabSession, view: CompareView) -> None:
-    """The residual of the worst reading column, animated from that of the step before."""
+def _residuals(session: TabSession, view: CompareView) -> None:
+    """The residuals of the worst reading columns, animated from those of the step before."""
     before = _before(session)
     source = before if before is not None else view
-    k = worst(source.series)
+    moved = session.view.pop("moved", "") == "yes"
+    for k in [k for k in worst_first(source.series) if k < len(view.series)][:MOST_RESIDUALS]:
+        _residual(view, source, k, moved=moved and before is not None)
+
+
+def _residual(view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
+    """The residual of a reading column, on the scale of that of `source`, from which it moves if `moved`."""
+    s, began = view.series[k], source.series[k]
+    over = next(iter(s.channels))
     with ui.element("div").classes("card"):
-        s = view.series[k] if k < len(view.series) else view.series[0]
-        over = next(iter(s.channels))
         Words("h2", f"The residual of {s.name}")
         after = _fixed(figures.residual_over(s, over), source, k)
-        if before is None or session.view.pop("moved", "") != "yes" or len(before.series[k]) != len(s):
+        if not moved or len(began) != len(s):
             Chart(after, "The residual over position").classes("tall").props["data-moved"] = "yes"
             return
-        began = before.series[k]
         rows = figures.drawn(began, began.channels[over], began.residuals)
         chart = Chart(
             _fixed(figures.residual_over(began, over, "", rows), source, k), "The residual over position"
@@ -185,11 +205,12 @@ def commands(session: TabSession, out: str) -> list[str]:
         if kind == "improve":
             if not last and session.steps[k + 1].words[0] == "improve":
                 continue  # one command for all of its steps
-            lines.append(["rtec", "improve", source, *session.chosen, "-o", target])
+            lines.append(["rtec", "improve", Named(source), *map(Named, session.chosen), "-o", Named(target)])
         else:
-            lines.append(["rtec", "add", source, *rest, "--data", *session.chosen, "-o", target])
+            given = ["--data", *map(Named, session.chosen), "-o", Named(target)]
+            lines.append(["rtec", "add", Named(source), *rest, *given])
         source = target
-    return [" ".join(quote(w) for w in line) for line in lines]
+    return [shell(line) for line in lines]
 
 
 def _save(session: TabSession) -> None:

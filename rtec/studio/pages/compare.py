@@ -78,7 +78,13 @@ def _tail(session: TabSession) -> None:
 
 def worst(series: Sequence[SeriesView]) -> int:
     """Index of the reading column with the largest residual, relative to its noise where that is known."""
-    return int(np.argmax([s.residual / (max(s.floor, 1e-9) if s.floor >= 0.0 else 1.0) for s in series]))
+    return worst_first(series)[0]
+
+
+def worst_first(series: Sequence[SeriesView]) -> list[int]:
+    """Indices of the reading columns, those with the largest residual first, as for `worst`."""
+    badness = [s.residual / (max(s.floor, 1e-9) if s.floor >= 0.0 else 1.0) for s in series]
+    return sorted(range(len(series)), key=lambda k: -badness[k])
 
 
 @dataclass

@@ -11,7 +11,7 @@ from rtec.diagnosis.words import UNITS, fitted_numbers, labels
 from rtec.effects import Effect
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
-from rtec.studio.parts import Words, button, heading, lacking, section, table, tiles, trouble
+from rtec.studio.parts import Area, Words, button, heading, lacking, section, table, tiles, trouble
 from rtec.studio.session import TabSession
 from rtec.studio.tasks import SHOWN, DiagnosisView, EffectRequest
 from rtec.wording import counted, odds, percent, probability, sizes
@@ -24,6 +24,10 @@ ODDS: Final = (
 )
 WIDE, HIGH = 220, 100
 """Size of the picture of an effect."""
+NOT_A_BUTTON: Final = '(event) => event.target.closest("button") || emit()'
+SEE_CURVE: Final = """if (matchMedia("(max-width: 1100px)").matches)
+  document.querySelector(".stick").scrollIntoView({ block: "nearest" })"""
+"""On a narrow window the curve is above the cards, and may be out of sight."""
 
 
 VERDICTS: Final[Mapping[Verdict, tuple[str, str]]] = {
@@ -63,9 +67,7 @@ def build(session: TabSession) -> None:
     tiles(view.page.numbers)
     if view.found.findings or 0 in view.curves:
         with ui.element("div").classes("split"):
-            _curve(session, view)
-            with ui.element("div").style("display: grid; gap: 1rem"):
-                _cards(session, view)
+            _Candidates(session, view).build()
     _rest(view)
     with ui.element("div").classes("row"):
         button("Test again", lambda: actions.diagnose(session))
@@ -91,79 +93,99 @@ def _verdict(view: DiagnosisView) -> None:
         Words("p", view.page.lead, "lead")
 
 
-def _curve(session: TabSession, view: DiagnosisView) -> None:
-    rank = session.rank if session.rank in view.curves else next(iter(view.curves), None)
-    with ui.element("div").classes("card stick"):
+class _Candidates:
+    """The candidates as cards; beside them the curve of the chosen one, which alone changes with the choice."""
+
+    def __init__(self, session: TabSession, view: DiagnosisView) -> None:
+        self._session, self._view = session, view
+        self._shown: dict[int, ui.element] = {}
+
+    def build(self) -> None:
+        with ui.element("div").classes("card stick"):
+            self._curve = Area(self._draw)
+        with ui.element("div").style("display: grid; gap: 1rem"):
+            self._cards()
+
+    def _draw(self) -> None:
+        curves = self._view.curves
+        rank = self._session.rank if self._session.rank in curves else next(iter(curves), None)
         if rank is None:
             Words("p", "There is no curve to show.")
             return
-        for e in view.curves[rank][:2]:
+        for e in curves[rank][:2]:
             Words("h2", e.title)
             Chart(figures.evidence_figure(e), f"Residual and fitted effect: {e.title}")
 
+    def _choose(self, rank: int) -> None:
+        self._session.rank = rank
+        for of, card in self._shown.items():
+            card.classes(add="chosen" if of == rank else "", remove="" if of == rank else "chosen")
+        self._curve.redo()
+        ui.run_javascript(SEE_CURVE)
 
-def _cards(session: TabSession, view: DiagnosisView) -> None:
-    d = view.found
-    shown = d.findings[:SHOWN]
-    cards = list(zip(shown, labels(shown), strict=True))
-    for f, label in cards[:FIRST]:
-        _card(session, d, f, label)
-    if cards[FIRST:]:
-        with ui.element("details").props("open" if session.rank > FIRST else ""):
-            Words("summary", counted(len(cards) - FIRST, "more candidate"))
-            with ui.element("div").style("display: grid; gap: 1rem; margin-top: .6rem"):
-                for f, label in cards[FIRST:]:
-                    _card(session, d, f, label)
-    if cards:
-        Words("p", ODDS, "small")
-    u = d.unknown
-    if u is not None and u.expression:
-        with ui.element("div").classes(f"card {'chosen' if session.rank == 0 else ''}"):
-            Words("h2", "The nearest simple expression")
-            Words("p", f"{u.expression}, feeds {u.feeds}")
-            Words("p", "It describes the shape of the error, not its cause.", "small")
-            request = EffectRequest("", u.feeds, (), u.expression, u.parameters)
+    def _cards(self) -> None:
+        session, d = self._session, self._view.found
+        shown = d.findings[:SHOWN]
+        cards = list(zip(shown, labels(shown), strict=True))
+        for f, label in cards[:FIRST]:
+            self._card(f, label)
+        if cards[FIRST:]:
+            with ui.element("details").props("open" if session.rank > FIRST else ""):
+                Words("summary", counted(len(cards) - FIRST, "more candidate"))
+                with ui.element("div").style("display: grid; gap: 1rem; margin-top: .6rem"):
+                    for f, label in cards[FIRST:]:
+                        self._card(f, label)
+        if cards:
+            Words("p", ODDS, "small")
+        u = d.unknown
+        if u is not None and u.expression:
+            with self._frame(0):
+                Words("h2", "The nearest simple expression")
+                Words("p", f"{u.expression}, feeds {u.feeds}")
+                Words("p", "It describes the shape of the error, not its cause.", "small")
+                request = EffectRequest("", u.feeds, (), u.expression, u.parameters)
+                with ui.element("div").classes("row"):
+                    if 0 in self._view.curves:
+                        button("Show its curve", lambda: self._choose(0))
+                    button("Add", lambda: _add(session, request, 0), main=not (shown and shown[0].accepted))
+                trouble(session, "add_0")
+
+    def _frame(self, rank: int) -> ui.element:
+        """The card of a candidate; a click anywhere on it shows its curve."""
+        card = self._shown[rank] = ui.element("div").classes("card")
+        card.classes("chosen" if self._session.rank == rank else "")
+        if rank in self._view.curves:
+            card.classes("pick").on("click", lambda: self._choose(rank), js_handler=NOT_A_BUTTON)
+        return card
+
+    def _card(self, f: Finding, label: str) -> None:
+        session, unit = self._session, UNITS[self._view.found.unit]
+        about = type(f.effect).about
+        with self._frame(f.rank):
+            Words("h2", f"{f.rank}. {about.title}")
+            Words("p", f"{label}: {about.equation}")
+            with ui.element("div").classes("row start"):
+                _picture(type(f.effect))
+                with ui.element("div"):
+                    fall = percent(f.heldout_drop) if f.heldout_drop > 0.005 else "does not fall"
+                    Words("p", f"Size: {sizes(f.size_um)[0]} {unit}")
+                    Words("p", f"Fitted: {fitted_numbers(f)}")
+                    Words("p", f"Held-out error: {'falls by ' if f.heldout_drop > 0.005 else ''}{fall}")
+                    Words("p", f"Odds: {odds(f.confidence)}, probability {probability(f.confidence)}")
+            if f.why_not:
+                Words("p", f.why_not, "small")
+            for alike in [a for a in f.confused_with if not a.apart][:3]:
+                test = f" To separate them: {alike.separating_test}." if alike.separating_test else ""
+                Words("p", f"Cannot be distinguished from {alike.label} by these data.{test}", "small")
             with ui.element("div").classes("row"):
-                button("Show its curve", lambda: _show(session, 0))
-                button("Add", lambda: _add(session, request, 0), main=not (shown and shown[0].accepted))
-            trouble(session, "add_0")
-
-
-def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
-    unit = UNITS[d.unit]
-    about = type(f.effect).about
-    with ui.element("div").classes(f"card {'chosen' if session.rank == f.rank else ''}"):
-        Words("h2", f"{f.rank}. {about.title}")
-        Words("p", f"{label}: {about.equation}")
-        with ui.element("div").classes("row start"):
-            _picture(type(f.effect))
-            with ui.element("div"):
-                fall = percent(f.heldout_drop) if f.heldout_drop > 0.005 else "does not fall"
-                Words("p", f"Size: {sizes(f.size_um)[0]} {unit}")
-                Words("p", f"Fitted: {fitted_numbers(f)}")
-                Words("p", f"Held-out error: {'falls by ' if f.heldout_drop > 0.005 else ''}{fall}")
-                Words("p", f"Odds: {odds(f.confidence)}, probability {probability(f.confidence)}")
-        if f.why_not:
-            Words("p", f.why_not, "small")
-        for alike in [a for a in f.confused_with if not a.apart][:3]:
-            test = f" To separate them: {alike.separating_test}." if alike.separating_test else ""
-            Words("p", f"Cannot be distinguished from {alike.label} by these data.{test}", "small")
-        with ui.element("div").classes("row"):
-            if f.rank in session_curves(session):
-                button("Show its curve", lambda: _show(session, f.rank))
-            if f.partner is None:
-                button("Add", lambda: _add(session, EffectRequest.of(f), f.rank), main=f.accepted and f.rank == 1)
-            else:
-                Words(
-                    "p", f"Only together with {f.partner.label}: Improve on the page Add and watch adds both.", "small"
-                )
-        trouble(session, f"add_{f.rank}")
-
-
-def session_curves(session: TabSession) -> list[int]:
-    """Ranks that have a curve."""
-    step = session.step
-    return list(step.diagnosed.curves) if step is not None and step.diagnosed is not None else []
+                if f.rank in self._view.curves:
+                    button("Show its curve", lambda: self._choose(f.rank))
+                if f.partner is None:
+                    button("Add", lambda: _add(session, EffectRequest.of(f), f.rank), main=f.accepted and f.rank == 1)
+                else:
+                    only = f"Only together with {f.partner.label}: Improve on the page Add and watch adds both."
+                    Words("p", only, "small")
+            trouble(session, f"add_{f.rank}")
 
 
 def _picture(kind: type[Effect]) -> None:
@@ -185,11 +207,6 @@ def _picture(kind: type[Effect]) -> None:
                 path = ui.element("path").classes(f"line{k % 3}")
                 path.props["d"] = d
         Words("figcaption", f"over {shape.over}", "small")
-
-
-def _show(session: TabSession, rank: int) -> None:
-    session.rank = rank
-    session.on_change()
 
 
 async def _add(session: TabSession, request: EffectRequest, rank: int) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
 from nicegui import events, ui
@@ -14,7 +13,21 @@ from nicegui import events, ui
 from rtec.errors import RtecError
 from rtec.studio import figures, tasks
 from rtec.studio.chart import Chart
-from rtec.studio.parts import Area, Words, at_fault, button, command, draft, heading, label, number, trouble, waiting
+from rtec.studio.parts import (
+    Area,
+    Named,
+    Words,
+    at_fault,
+    button,
+    command,
+    draft,
+    heading,
+    label,
+    number,
+    shell,
+    trouble,
+    waiting,
+)
 from rtec.studio.session import ForeignFile, TabSession
 from rtec.studio.tasks import ImportView
 from rtec.text import clean
@@ -24,6 +37,10 @@ if TYPE_CHECKING:
     from rtec.metrology.importing import ForeignColumn, ImportQuestion
 
 NOT_USED: Final = ""
+SIGNS: Final = {"+1": "+1: actual minus nominal", "-1": "-1: nominal minus actual"}
+"""Label of each answer on the sign of a reading."""
+LONGEST_STEM: Final = 80
+"""Largest number of characters of a table's name in the suggested name of its measurement."""
 THOUSANDS: Final = re.compile(r"[+-]?\d{1,3}(\s\d{3})+([.,]\d*)?")
 UNITS: Final = ("", "mm", "um", "nm", "m", "in", "s", "ms", "min", "h", "degC", "degF", "K", "urad", "arcsec", "deg",
                 "rpm", "mm/min", "mm/s", "kg")  # fmt: skip
@@ -125,7 +142,7 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
                 with ui.element("div").style("display: grid; gap: .3rem"):
                     Words("p", q.text)
                     if q.choices:
-                        shown = {c: clean(c) for c in q.choices}
+                        shown = SIGNS if q.key == "sign" else {c: clean(c) for c in q.choices}
                         field: Any = ui.select(shown, value=q.default)
                         field.on_value_change(partial(answer, q.key, field))
                     else:
@@ -266,9 +283,9 @@ def _figure(view: ImportView) -> dict[str, Any]:
 
 
 def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
-    stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in Path(file.name).stem) or "imported"
+    stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in Path(file.name).stem).lstrip("-.") or "table"
     with ui.element("div").classes("card"):
-        name = draft(session, f"import_{file.name}", "Name of the measurement", f"{stem}-imported")
+        name = draft(session, f"import_{file.name}", "Name of the measurement", f"{stem[:LONGEST_STEM]}-imported")
 
         def show() -> None:
             command(import_command(session, file, name.value or ""), "The same on the command line, in this folder:")
@@ -302,7 +319,7 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
 
 def import_command(session: TabSession, file: ForeignFile, out: str) -> str:
     """Equivalent command of the command line; columns that were changed by hand are in the map."""
-    machine = ["--machine", session.machine] if session.machine else []
+    machine = ["--machine", Named(session.machine)] if session.machine else []
     answers = [w for k, v in file.answers.items() for w in ("--answer", f"{k}={v}")]
-    how = ["--map", f"{out}-map.toml"] if file.edited is not None else answers
-    return " ".join(quote(w) for w in ["rtec", "import", file.name, *how, *machine, "-o", out])
+    how = ["--map", Named(f"{out}-map.toml")] if file.edited is not None else answers
+    return shell(["rtec", "import", Named(file.name), *how, *machine, "-o", Named(out)])

@@ -10,6 +10,7 @@ from rtec.control.facts import axis_rows, footer, held, input_rows, troubles, um
 from rtec.errors import RtecError
 from rtec.studio.parts import Area, Words, button, from_home, heading, table
 from rtec.studio.session import TabSession
+from rtec.text import clean_lines
 
 if TYPE_CHECKING:
     from collections import deque
@@ -37,15 +38,16 @@ def build(session: TabSession) -> None:
     _LivePage(session, session.live).build()
 
 
-def state_of(found: dict[str, Any] | None, trouble: str) -> tuple[str, str]:
-    """The state in one word with its reason, and its CSS class."""
+def state_of(found: dict[str, Any] | None, trouble: str) -> tuple[str, str, str]:
+    """The state in one word, its reason, and the CSS class of its colour."""
     if found is None:
-        return f"no answer: {trouble}", "off"
+        return "no answer", trouble, "off"
     status = found["status"]
     if why := held(status):
-        return f"held: {why}", "held"
-    words = {"on": "on", "hold": "held: ordered by an operator", "off": "off", "": "starting"}
-    return words.get(status["mode"], status["mode"]), "on" if status["mode"] == "on" else "held"
+        return "held", why, "held"
+    if status["mode"] == "hold":
+        return "held", "ordered by an operator", "held"
+    return status["mode"] or "starting", "", "on" if status["mode"] == "on" else "held"
 
 
 @dataclass
@@ -78,9 +80,10 @@ class _LivePage:
 
     def build(self) -> None:
         link = self._link
-        with ui.element("div").classes("row"):
+        with ui.element("div").classes("row").props('role="status" aria-live="polite"'):
             Words("span", "Correction:", "lead")
-            self._state = Words("p", "", "state").props('role="status" aria-live="polite"')
+            self._state = Words("p", "", "state")
+            self._why = Words("p", "", "lead")
         self._lead = Words("p", "", "small")
         if link.role == "operate":
             with ui.element("div").classes("row"):
@@ -108,8 +111,9 @@ class _LivePage:
             self._link.leave(self._key)
             return
         found = self._link.status
-        text, kind = state_of(found, self._link.trouble)
+        text, why, kind = state_of(found, self._link.trouble)
         self._state.set_text(text)
+        self._why.set_text(clean_lines(why))
         self._state.classes(add=kind, remove=" ".join({"on", "held", "off"} - {kind}))
         if found is None:
             self._lead.set_text("It is asked again every second.")
@@ -129,7 +133,7 @@ class _LivePage:
         self._tracks = {}
         self._axes = tuple(found["status"]["applied_um"]) if found is not None else ()
         self._limits = self._link.limits()
-        with ui.element("div").classes("cards"):
+        with ui.element("div").classes("pair"):
             for axis in self._axes:
                 warning, stop = self._limits.get(axis, (0.0, 0.0))
                 with ui.element("div").classes("card"):
@@ -242,7 +246,10 @@ class _LivePage:
                 rows = [
                     [e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]] for e in reversed(found["events"])
                 ]
-                table(Table(("UTC", "what", "text", "by"), rows, words=(0, 1, 2, 3)))
+                if rows:
+                    table(Table(("UTC", "what", "text", "by"), rows, words=(0, 1, 2, 3)))
+                else:
+                    Words("p", "None yet.", "small")
 
     def _ask(self, name: str, text: str, question: str) -> None:
         with ui.dialog() as dialog, ui.element("div").classes("card").props('role="alertdialog"'):

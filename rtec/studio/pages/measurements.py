@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from tempfile import TemporaryDirectory
 
 from nicegui import events, ui
@@ -14,7 +13,7 @@ from rtec.commission.example import SHIPPED
 from rtec.errors import RtecError
 from rtec.studio.folder import Summary
 from rtec.studio.jobs import Job
-from rtec.studio.parts import Area, Words, button, command, draft, heading, label, soon, trouble
+from rtec.studio.parts import Area, Named, Words, button, command, draft, heading, label, shell, soon, trouble
 from rtec.studio.session import ForeignFile, TabSession
 from rtec.text import clean
 from rtec.wording import counted
@@ -222,7 +221,8 @@ def _cells(s: Summary, box: ui.checkbox) -> list[Element]:
     with ui.element("td").classes("words") as remarks:
         if warm:
             with ui.element("details"):
-                Words("summary", counted(len(warm), "sensor"))
+                low, high = min(v[0] for v in s.sensors.values()), max(v[1] for v in s.sensors.values())
+                Words("summary", f"{counted(len(warm), 'sensor')}, {low:.1f} to {high:.1f} °C")
                 for line in warm:
                     Words("div", line, "small")
         if len(s.notes) <= FEW:
@@ -312,8 +312,8 @@ class _ModelCard:
             Words("p", "Choose the machine and at least one measurement first.", "small")
             return
         more = ["--effects", self._effects.value] if self._effects.value else []
-        given = ["rtec", "fit", s.machine, *s.chosen, "-o", self._name.value or "model.toml", *more]
-        command(" ".join(quote(w) for w in given), "The same on the command line:")
+        files = [*map(Named, (s.machine, *s.chosen)), "-o", Named(self._name.value or "model.toml")]
+        command(shell(["rtec", "fit", *files, *more]), "The same on the command line:")
 
     def _show_next(self) -> None:
         s = self._session

@@ -22,7 +22,7 @@ pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
 
 MB = 1 << 20
 WARM_MS = 5_000
-BEAM = "beam_offset_mm, from the tool tip to where the laser_linear reads?"
+BEAM = "Where does the laser_linear read, as X, Y and Z from the tool tip (beam_offset_mm)?"
 
 
 @pytest.fixture(scope="module")

@@ -50,8 +50,8 @@ MARKED = """(chart) => document.querySelectorAll(".chart")[chart].data.filter((t
 WATCH = """() => {
   window.seen = [];
   const look = () => {
-    for (const c of document.querySelectorAll(".chart"))
-      if (c.dataset.moved && c.data?.[0]) window.seen.push([c.dataset.moved, c.data[0].y[0]]);
+    const c = document.querySelector(".chart[data-moved]");
+    if (c?.data?.[0]) window.seen.push([c.dataset.moved, c.data[0].y[0]]);
     requestAnimationFrame(look);
   };
   look();
@@ -361,6 +361,7 @@ def test_an_addition_moves_the_residual_from_before_to_after(browser: "Browser",
     page.wait_for_function("window.seen.some(([moved]) => moved === 'no')")
     page.wait_for_function("window.seen.at(-1)[0] === 'yes' && window.seen.some(([moved]) => moved === 'no')")
     seen = page.evaluate("window.seen.map(([, y]) => y)")
+    page.wait_for_function("document.querySelectorAll('.chart[data-moved=yes]').length === 2")  # of both measurements
     page.context.close()
     assert abs(seen[-1]) < abs(seen[0])
     assert min(seen) >= min(seen[0], seen[-1]) - 1e-6

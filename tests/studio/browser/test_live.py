@@ -48,7 +48,8 @@ def watched(browser: "Browser", config: Path, tmp_path_factory: pytest.TempPathF
 def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched: Watched, config: Path) -> None:
     """It waits for the daemon; holds it by a button that asks once; shows why it holds by itself after a restart."""
     page = watched.page
-    page.get_by_text("no answer: no daemon runs").wait_for()
+    page.locator(".state.off", has_text="no answer").wait_for()
+    page.get_by_text("no daemon runs with").wait_for()
     with running_daemon(config):
         page.locator(".state.on").wait_for()
         assert page.locator(".state").inner_text() == "on"
@@ -56,7 +57,9 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
         page.get_by_text("Hold the correction at its present value?").wait_for()
         assert _mode(config) == "on"
         page.get_by_role("alertdialog").get_by_role("button", name="Hold", exact=True).click()
-        page.get_by_text("held: ordered by an operator").wait_for()
+        page.locator(".state.held").wait_for()
+        page.get_by_text("ordered by an operator").first.wait_for()
+        assert page.locator(".state").inner_text() == "held"  # one word, its reason beside it
         assert _mode(config) == "hold"
         page.get_by_role("cell", name="studio", exact=False).first.wait_for()
         page.get_by_label("Text beside the log").fill("new tool <b>4</b>")
@@ -74,7 +77,7 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
         found = _found(config)["status"]
         assert found["mode"] == "off"
         page.wait_for_function(FADED)
-    page.get_by_text("no answer").wait_for()
+    page.locator(".state.off", has_text="no answer").wait_for()
     text = config.read_text(encoding="utf-8").replace("counts_max_age_s = 5.0", "counts_max_age_s = 0.000001")
     config.write_text(text, encoding="utf-8")
     with running_daemon(config):

@@ -62,7 +62,9 @@ def story(browser: "Browser", studio: RunningStudio, tables: list[Path]) -> Watc
         page.get_by_role("button", name=f"Import {table.name}").click()
         page.get_by_text("What it becomes: 162 readings").wait_for()
         if table is tables[1]:
-            beam = page.get_by_label("beam_offset_mm, from the tool tip to where the laser_linear reads?")
+            beam = page.get_by_label(
+                "Where does the laser_linear read, as X, Y and Z from the tool tip (beam_offset_mm)?"
+            )
             beam.fill("[0, 0, 150]")
             beam.press("Enter")
             page.get_by_text("Answered: setup.beam_offset_mm").wait_for()
