@@ -52,6 +52,8 @@ LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 BETTER = 0.9
 """An effect disputes the winner's place where its mean square on held-out runs is below this share of the winner's."""
+FEIGNED = 10.0
+"""Log odds that small errors of a sensor, its steps and its delay, can feign between effects that predict alike."""
 
 
 @dataclass(frozen=True)
@@ -213,11 +215,19 @@ class _Answer:
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
 
     def _disputes(self, winner: Refitted, other: Refitted) -> bool:
-        """Whether held-out runs favour a significant effect that the evidence ranks behind the winner."""
-        if self.s.chain:
+        """Whether held-out runs favour a significant effect that the evidence ranks behind the winner; or hardly
+        distinguish the two, and the evidence does so only by what another sensor may feign.
+        """
+        if self.s.chain or not other.holds or other.log_evidence - self.s.prior_odds <= SURE:
             return False
-        sure = other.holds and other.log_evidence - self.s.prior_odds > SURE
-        return sure and 1.0 - other.drop < BETTER * (1.0 - winner.drop)
+        if 1.0 - other.drop < BETTER * (1.0 - winner.drop):
+            return True
+        sensors = set(self.readings.machine.sensor_names)
+        one, two = (
+            sensors & set(self.s.candidates[t.number].effect.channels(self.readings.machine)) for t in (winner, other)
+        )
+        near = 1.0 - winner.drop > BETTER * (1.0 - other.drop)
+        return bool(one and two) and one != two and near and winner.log_evidence - other.log_evidence < FEIGNED
 
     def _alikes(self, found: Screen, winner: Refitted, refitted: Sequence[Refitted]) -> list[Alike]:
         """Effects confounded with the winner: the refitted ones by evidence, the others by shape."""

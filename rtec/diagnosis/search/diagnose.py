@@ -343,10 +343,16 @@ class _Search:
 
         sure = [t for t in refitted if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.drop, default=None)
-        if first is None:
-            return []
-        chain = self.refits.chain(first, bar, plain)
-        return chain if chain[-1].drop >= LITTLE else []
+        chain = self.refits.chain(first, bar, plain) if first is not None else []
+        if not chain or chain[-1].drop < LITTLE or self._top_shape is None:
+            return chain if chain and chain[-1].drop >= LITTLE else []
+        # What reads anything beyond the shape must be as significant beside it: else it only follows the shape.
+        places = {c for a in machine.axes for c in (a.channel, *a.moving_channels)}
+        for t in chain:
+            beyond = set(self.candidates[t.number].effect.channels(machine)) - places - set(shape)
+            if beyond and self.refits.beside_columns(t, self._top_shape.columns) < bar:
+                return []
+        return chain
 
     def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
         """Simple effects that are missing together; empty where the best alone, or with others later, is the answer.

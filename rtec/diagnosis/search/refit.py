@@ -624,6 +624,10 @@ class Refits:
                 out.append(i)
         return out
 
+    def beside_columns(self, t: Refitted, columns: Floats) -> float:
+        """Log evidence of a candidate where the readings contain other columns, (m, k), as well."""
+        return self._evidence_beside(t, np.concatenate([self.prepared.base, columns], axis=1), self.readings)
+
     def beside_slopes(self, t: Refitted) -> float:
         """Log evidence of a candidate where each run has a slope of its own along each axis that moves in it.
 
