@@ -29,8 +29,7 @@ def explain(
 
     Example, a driver's key: `rtec explain modbus.timeout_s`
     """
-    from rtec.reference.keys import all_keys, matching, tables
-    from rtec.report.keys import explained, overview, reference
+    from rtec.reference import all_keys, explained, matching, overview, reference, tables
 
     if as_json:
         print_json([asdict(k) | {"path": k.path} for k in (all_keys() if key is None else matching(key))])

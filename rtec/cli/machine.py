@@ -59,7 +59,7 @@ def show(file: MachinePath, as_json: Json = False) -> None:
     """
     from rtec.cli.common import show_page
     from rtec.machine import load_machine
-    from rtec.report.machine import machine_page
+    from rtec.report.overview import machine_page
 
     machine = load_machine(file)
     if as_json:

@@ -36,7 +36,7 @@ class Measurement(Shown):
         notes: notes of the reader on the file, in words.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.measurement:measurement_page"
+    page_maker: ClassVar[str] = "rtec.report.overview:measurement_page"
 
     name: str
     instrument: Instrument

@@ -41,7 +41,7 @@ class Imported(Result):
         map: path of the written map, where it was proposed.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.measurement:imported_page"
+    page_maker: ClassVar[str] = "rtec.report.overview:imported_page"
 
     columns: dict[str, Values] = field(repr=False)
     reader: str

@@ -43,7 +43,7 @@ class Simulated(Result):
         phase: name of the phase of each row.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.measurement:recorded_page"
+    page_maker: ClassVar[str] = "rtec.report.overview:recorded_page"
 
     measurement: Measurement
     components: Mapping[str, Floats] = field(repr=False)

@@ -1,26 +1,61 @@
-"""Overview of a measurement: its columns, their ranges, and a figure of the readings."""
+"""Overviews of a machine file and of a measurement."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.importing import Imported
-from rtec.metrology.measurement import Measurement
 from rtec.report.figures import LINES, as_png, canvas
 from rtec.report.page import Figure, Page, Section, Table
-from rtec.sim.campaign.campaign import Simulated
-from rtec.wording import counted, number
+from rtec.wording import counted, number, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
+
+    from rtec.machine import Machine
+    from rtec.metrology.importing import Imported
+    from rtec.metrology.measurement import Measurement
+    from rtec.sim.campaign.campaign import Simulated
+
+
+def machine_page(machine: "Machine") -> Page:
+    """Axes, chain, sensors, component errors and channels of a machine."""
+    head = ("axis", "along", "travel, mm", "counts per mm", "one count, µm", "pitch, mm", "corrected")
+    rows = [
+        (
+            a.name,
+            a.direction,
+            f"{a.travel_mm[0]:g} to {a.travel_mm[1]:g}",
+            f"{a.counts_per_mm:g}",
+            significant(1e3 / a.counts_per_mm),
+            "-" if a.pitch_mm is None else f"{a.pitch_mm:g}",
+            "yes" if a.compensate else "no",
+        )
+        for a in machine.axes
+    ]
+    sensors = [(s.name, f"{s.range_degc[0]:g} to {s.range_degc[1]:g}") for s in machine.sensors]
+    chain = [
+        f"From the base to the tool tip: {' > '.join(machine.tool_chain)}.",
+        f"From the base to the cutting point: {' > '.join(machine.work_chain) or 'nothing moves'}.",
+    ]
+    sections = [
+        Section("Axes", (), Table(head, rows, words=(0, 1, 2, 6))),
+        Section("Chain", chain),
+        Section("Sensors", (), Table(("sensor", "believed from … to, °C"), sensors, words=(0, 1)))
+        if sensors
+        else Section("Sensors", ("None.",)),
+        Section("Component errors", (", ".join(machine.components),)),
+        Section("Channels that an effect may read", (", ".join(machine.channel_names),)),
+    ]
+    return Page(machine.name, f"{machine.name}\nmachine_hash {machine.hash}", (), sections)
+
 
 Floats = NDArray[np.float64]
 UNITS = {"um": "µm", "urad": "µrad"}
 WAYS = {1.0: ("moving +", "-", "o"), -1.0: ("moving −", "--", "s"), 0.0: ("no direction", ":", ".")}
 
 
-def measurement_page(m: Measurement, figures: bool = True) -> Page:
+def measurement_page(m: "Measurement", figures: bool = True) -> Page:
     """Set-up, columns and ranges of a measurement."""
     facts = m.facts()
     along = f" along {m.instrument.axis}" if m.instrument.axis else ""
@@ -36,12 +71,12 @@ def measurement_page(m: Measurement, figures: bool = True) -> Page:
     return Page(f"Measurement {m.name}", lead, [], [Section("Readings", [f"{n}." for n in m.notes], table, figure)])
 
 
-def recorded_page(s: Simulated, figures: bool = True) -> Page:
+def recorded_page(s: "Simulated", figures: bool = True) -> Page:
     """The page of a simulated measurement."""
     return measurement_page(s.measurement, figures)
 
 
-def imported_page(i: Imported, figures: bool = True) -> Page:
+def imported_page(i: "Imported", figures: bool = True) -> Page:
     """The page of an import; with the readings where a machine was given."""
     if i.measurement is not None:
         return measurement_page(i.measurement, figures)
@@ -59,7 +94,7 @@ def _spread(values: Floats) -> list[str]:
 
 
 @as_png
-def _drawn(m: Measurement) -> "MplFigure":
+def _drawn(m: "Measurement") -> "MplFigure":
     """Readings over the axis that the instrument follows, each direction with its own line; else over time."""
     figure = canvas(5.5)
     ax = figure.subplots()

@@ -13,10 +13,9 @@ from rtec.cli.main import status
 from rtec.correction.sinks import Sink
 from rtec.loop.driver_info import find
 from rtec.metrology.instruments.registry import INSTRUMENTS
-from rtec.reference.keys import FILES, SEVERAL, Key, all_keys, matching
-from rtec.report.keys import reference
+from rtec.reference import FILES, SEVERAL, Key, all_keys, matching, reference
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference" / "keys.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "keys.md"
 
 
 def leaves(schema: dict[str, Any], whole: dict[str, Any], prefix: str = "") -> Iterator[str]:
