@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtec.cli.common import Json, print_json, show_page
-from rtec.cli.diagnose import MachineFile, ModelFile
 from rtec.cli.help import App, Group
+from rtec.cli.model import MachineFile, ModelFile
 
 if TYPE_CHECKING:
     from rtec.correction.tables.table import CompensationTable

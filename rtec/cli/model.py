@@ -1,4 +1,4 @@
-"""`rtec diagnose`, `rtec add`, `rtec improve`, `rtec history`: which effect is missing, and the error falling."""
+"""`rtec fit`, `compare`, `diagnose`, `add`, `improve`, `history`: a model from measurements, and what it lacks."""
 
 import sys
 from pathlib import Path
@@ -12,6 +12,50 @@ if TYPE_CHECKING:
     from rtec.diagnosis.extend.add import Added
     from rtec.diagnosis.extend.improve import ProposedStep
     from rtec.diagnosis.result import Finding
+
+
+def fit(
+    machine: Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="MEASUREMENT...", help="Measurements made on it, any instruments.", show_default=False),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="MODEL", help="Write the model here.", show_default=False)
+    ],
+    effects: Annotated[
+        str | None,
+        typer.Option("--effects", help="Fit these and no others: scale,backlash or mount_expansion:EXX:sensor=T_bed."),
+    ] = None,
+    leave_out_h: Annotated[
+        float | None,
+        typer.Option("--leave-out", min=1e-3, help="Hold out stretches of this many hours instead of runs."),
+    ] = None,
+    full: Full = False,
+    report: Report = None,
+    as_json: Json = False,
+) -> None:
+    """Characterises a machine: chooses effects and temperatures on held-out runs, fits them, and writes a model.
+
+    Example: `rtec fit configs/machines/turning-centre.toml laser-x.csv laser-z.csv -o model.toml --report out/fit`
+
+    `rtec fit machine.toml laser-x.csv -o model.toml --effects scale,backlash,axis_expansion`
+
+    `rtec fit machine.toml drift.csv -o model.toml --effects mount_expansion:EX0spindle:sensor=*`
+
+    It tries every temperature, temperature difference and lag for each component error. It warns of sensors that are
+    collinear, choices that are undecided, ranges that were not visited, and a model that is over-fitted. `rtec effects`
+    lists the effects.
+    """
+    from rtec import api
+    from rtec.cli.common import interruptible, show, stages
+
+    with interruptible(), stages() as stage:
+        result = api.fit(
+            machine, files, effects=effects, leave_out_h=leave_out_h, out=out, report=report, progress=stage
+        )
+    show(result, as_json=as_json, full=full, written={"Model": out})
+
 
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.", show_default=False)]
 Files = Annotated[
@@ -233,3 +277,26 @@ def _ask_made(made: "Added") -> bool:
     show_page(added_page(made, figures=False), full=False)
     said = f"Add {', '.join(made.labels)}, a further temperature?" if made.labels else "Refit the model's own numbers?"
     return typer.confirm(said, default=True)
+
+
+def compare(
+    model: ModelFile,
+    files: Files,
+    machine: MachineFile = None,
+    seed: Seed = 1,
+    full: Full = False,
+    report: Report = None,
+    as_json: Json = False,
+) -> None:
+    """Compares a model with measurements: the residual, how much of it is noise, and where it is largest.
+
+    The model is taken as it is; nothing is refitted. Readings outside the range of its fit are reported.
+
+    Example: `rtec compare model.toml laser-x.csv drift.csv --report out/compare`
+    """
+    from rtec import api
+    from rtec.cli.common import show, stages
+
+    with stages() as stage:
+        comparison = api.compare(model, files, machine=machine, seed=seed, report=report, progress=stage)
+    show(comparison, as_json=as_json, full=full)
