@@ -15,9 +15,8 @@ import pytest
 from rtec.correction.sinks import FollowingErrorSink
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.tomlfile import validated
-from rtec_drivers.can import box_session as frames
-from rtec_drivers.can.box import CanBoxDriver, CanBoxOptions
-from rtec_drivers.can.box_session import CanBoxSession
+from rtec_drivers.can import box as frames
+from rtec_drivers.can.box import CanBoxDriver, CanBoxOptions, CanBoxSession
 from tests.support.can_peer import BASE, CLOCK, MS, FakeBox, box_bytes, crc8, new_channel
 from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files
 from tests.support.modbus_peer import until

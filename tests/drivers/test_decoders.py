@@ -20,11 +20,11 @@ from rtec.tomlfile import validated
 from rtec_drivers.ascii.driver import ReadingBook
 from rtec_drivers.ascii.text import AsciiOptions, LineParser
 from rtec_drivers.box import protocol as box
-from rtec_drivers.can import box_session as can_box_frames
+from rtec_drivers.can import box as can_box_frames
 from rtec_drivers.can.signals import Dbc, ObjectType, SignalOptions
 from rtec_drivers.modbus import frame as modbus_frame
 from rtec_drivers.modbus.map import Register
-from rtec_drivers.thermocouple import Conversion, TemperatureReadings
+from rtec_drivers.temperatures import Conversion, TemperatureReadings
 from rtec_drivers.zmq import message as zmq_message
 from tests.support.conformance import MACHINE
 

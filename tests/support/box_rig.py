@@ -13,8 +13,7 @@ from rtec.loop.clock import Clock, RealClock, VirtualClock
 from rtec.machine import Machine
 from rtec.tomlfile import validated
 from rtec_drivers.box import driver as serial_box
-from rtec_drivers.box.driver import SerialBoxDriver
-from rtec_drivers.box.options import BoxOptions
+from rtec_drivers.box.driver import BoxOptions, SerialBoxDriver
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 from rtec_drivers.pty_peer import PtyPeer, WireFaults
 from tests.support.conformance import MACHINE

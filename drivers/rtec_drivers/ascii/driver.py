@@ -14,11 +14,10 @@ from rtec.machine import Machine
 from rtec.tomlfile import validated
 from rtec_drivers.ascii.scan import AsciiScanner
 from rtec_drivers.ascii.text import SPINDLE, AsciiOptions, LineParser, LineReader
-from rtec_drivers.box.options import max_counts_per_s
-from rtec_drivers.count_tracker import CountTracker
+from rtec_drivers.count_tracker import CountTracker, max_counts_per_s
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.serial_line import PortFinder, PortOptions, Ports, SerialLine
-from rtec_drivers.stuck import StuckWatch
+from rtec_drivers.temperatures import StuckWatch
 
 
 class ReadingBook:

@@ -14,12 +14,12 @@ from rtec.loop.ports import Scanner
 from rtec.machine import Machine
 from rtec.tomlfile import Strict, nearest, validated
 from rtec_drivers.byte_line import ByteLine, way_of
-from rtec_drivers.link_worker import NS, Backoff, Worker
+from rtec_drivers.modbus.frame import ModbusLineOptions
 from rtec_drivers.modbus.map import Register, blocks_of, load_profile
 from rtec_drivers.modbus.poll import Poller, Slave
 from rtec_drivers.modbus.scan import ModbusScanner
-from rtec_drivers.modbus.way import ModbusLineOptions
-from rtec_drivers.thermocouple import TemperatureReadings
+from rtec_drivers.reopen import NS, Backoff, Worker
+from rtec_drivers.temperatures import TemperatureReadings
 
 
 class SlaveOptions(Strict):

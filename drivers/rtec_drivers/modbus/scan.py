@@ -6,11 +6,18 @@ from typing import Any, Final, Self
 from rtec.loop.clock import Clock
 from rtec.wording import counted
 from rtec_drivers.byte_line import ByteLine, way_of
-from rtec_drivers.link_worker import NS
-from rtec_drivers.modbus.frame import HOLDING, INPUT, Exchange, ModbusAnswer, ModbusRequest, frames_of_slaves
+from rtec_drivers.modbus.frame import (
+    HOLDING,
+    INPUT,
+    Exchange,
+    ModbusAnswer,
+    ModbusLineOptions,
+    ModbusRequest,
+    frames_of_slaves,
+)
 from rtec_drivers.modbus.map import Register
-from rtec_drivers.modbus.way import ModbusLineOptions
-from rtec_drivers.room import in_room, room_high_word
+from rtec_drivers.reopen import NS
+from rtec_drivers.temperatures import in_room, room_high_word
 
 NUMBERS: Final = range(1, 248)
 TIMEOUT_NS: Final = NS // 10

@@ -12,9 +12,10 @@ of a tip at the terminals' temperature, against 0 °C, is added before the funct
 
 import importlib
 import math
+import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -247,3 +248,45 @@ class TemperatureReadings:
             np.array([s.degc for _, s in rows]),
             np.array([s.time_ns for _, s in rows], np.int64),
         )
+
+
+class StuckWatch:
+    """Detects a reading that is constant, to the last digit, for too long.
+
+    Args:
+        after_s: longest time without a change; None: no limit.
+    """
+
+    def __init__(self, after_s: float | None) -> None:
+        self._after_s = after_s
+        self._since: dict[str, tuple[float, int]] = {}
+
+    def look(self, name: str, value: float, now_ns: int) -> str:
+        """Record a reading; give its fault, or ""."""
+        if self._after_s is None:
+            return ""
+        known, since_ns = self._since.get(name, (None, now_ns))
+        if known != value:
+            self._since[name] = (value, now_ns)
+            return ""
+        still_s = (now_ns - since_ns) * 1e-9
+        return f"{name}: has read {value:g} for {still_s:.0f} s: stuck" if still_s > self._after_s else ""
+
+
+LOW_DEGC: Final = 10.0
+HIGH_DEGC: Final = 45.0
+SCALES: Final = (1.0, 0.1, 0.01)
+
+
+def in_room(number: float, degc: bool = False) -> bool:
+    """Is it a room's temperature in °C or, unless `degc`, in tenths or hundredths of it?"""
+    return any(LOW_DEGC <= number * scale <= HIGH_DEGC for scale in (SCALES[:1] if degc else SCALES))
+
+
+def room_high_word(word: int) -> bool:
+    """Is it the high word of a float of 32 bits that is a room's temperature?
+
+    As an integer it would be above 160 °C in hundredths, so no plain temperature is mistaken for one.
+    """
+    (value,) = struct.unpack(">f", struct.pack(">HH", word, 0))
+    return in_room(value, degc=True)
