@@ -125,8 +125,7 @@ def relay(
 
     Example, a line of authorized_keys: `restrict,command="rtec ctl relay /etc/rtec/mill.toml --name office" ssh-…`
     """
-    from rtec.control.client import find
-    from rtec.control.relay import relay
+    from rtec.control.client import find, relay
 
     path = find(config, None, None).path
     if path is not None:

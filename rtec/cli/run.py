@@ -17,7 +17,7 @@ from rtec.cli.screen import Console
 
 if TYPE_CHECKING:
     from rtec.daemon.supervisor import Report, Status
-    from rtec.log.events import Event
+    from rtec.log.recording import Event
     from rtec.loop.run_file import Setup
 
 REFRESH_S = 0.2
@@ -207,7 +207,7 @@ def run(
         _dry_run(setup, as_json)
         return
     from rtec.control.server import Control
-    from rtec.daemon.run_log import new_log_path
+    from rtec.daemon.disk import new_log_path
     from rtec.daemon.supervisor import Supervisor
     from rtec.loop.clock import RealClock
 

@@ -36,7 +36,7 @@ from rtec.control.prometheus import metrics
 from rtec.daemon.process import Notifier
 from rtec.daemon.ring import Ring
 from rtec.daemon.status import Report, Status
-from rtec.log.events import Event, Events
+from rtec.log.recording import Event, Events
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Layout
 from rtec.loop.stats import LoopStats, Trouble
