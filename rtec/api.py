@@ -208,7 +208,7 @@ def simulate(
     """
     from rtec.metrology.files.save import save_measurement
     from rtec.sim.campaign.campaign import simulate_with_truth
-    from rtec.sim.campaign.request import instrument_of, settings_of, table_path
+    from rtec.sim.campaign.settings import instrument_of, settings_of, table_path
     from rtec.sim.campaign.truth import truth_of
 
     described = _machine(machine)

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.sim.controller import COMMAND, MOTOR, READING, SLIDE
-from rtec.sim.machine import SimulatedMachine
-from rtec.sim.recording import recording_of
+from rtec.sim.machine import SimulatedMachine, recording_of
 from rtec_drivers.hil.track import TipTrack
 
 TRACED = [COMMAND, MOTOR, SLIDE, READING]
