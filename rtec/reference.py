@@ -23,7 +23,7 @@ from rtec.correction.sinks import FollowingErrorSink, OriginOffsetSink, PhaseSin
 from rtec.errors import ConfigError
 from rtec.loop.driver_info import Option, installed, options_of
 from rtec.loop.run_file import RunFile
-from rtec.machine.load import MachineFile
+from rtec.machine.machine import MachineFile
 from rtec.metrology.files.toml import MeasurementFile
 from rtec.metrology.importing.map import ImportMap
 from rtec.metrology.instruments.registry import INSTRUMENTS

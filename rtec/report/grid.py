@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.grid.compare import not_compared
-from rtec.metrology.grid.evaluation import GridComparison, GridEvaluation
+from rtec.metrology.grid.compare import GridComparison, GridEvaluation, not_compared
 from rtec.metrology.grid.paths import Edge
 from rtec.metrology.grid.setup import GridSetup, Item, same_feed, slowest
 from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, as_png, canvas

@@ -12,8 +12,8 @@ import numpy as np
 from rtec.errors import MeasurementError
 from rtec.frames import Kind, frame
 from rtec.machine import Machine
-from rtec.metrology.files.save import Column as Values
-from rtec.metrology.files.save import write_files
+from rtec.metrology.files.load import Column as Values
+from rtec.metrology.files.load import write_files
 from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
