@@ -257,8 +257,8 @@ def telemetry(
 
 def _write_devices(setup: "Setup", out: Path) -> None:
     from rtec.errors import ConfigError
+    from rtec.files import write_text
     from rtec.telemetry.mtconnect import device_file
-    from rtec.wholefile import write_text
 
     machine = setup.machine
     identity = f"{platform.node()}{setup.path}"

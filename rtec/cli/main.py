@@ -1,4 +1,4 @@
-"""`rtec`: assembles the commands; turns errors into one message and an exit status.
+"""`rtec`: assembles the commands, cleans their output, turns errors into one message and an exit status.
 
 Exit status: 0 done; 1 a check or limit failed; 2 wrong use or bad input; 130 interrupted.
 """
@@ -8,16 +8,42 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO, cast
 
 import typer
 
 from rtec.cli.help import App
-from rtec.cli.shield import shielded
 from rtec.errors import RtecError
+from rtec.text import clean_lines
 from rtec.version import __version__
+
+
+class _Shield:
+    """A stream that cleans its text; rich recognises such a proxy and writes to the stream behind it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.rich_proxied_file = stream
+
+    def write(self, text: str) -> int:
+        return self.rich_proxied_file.write(clean_lines(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+@contextmanager
+def shielded() -> Iterator[None]:
+    """Context in which all text to standard output and error is cleaned."""
+    out, err = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = cast(TextIO, _Shield(out)), cast(TextIO, _Shield(err))
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = out, err
+
 
 COMMANDS: Mapping[str, Mapping[str, str]] = {
     "Try": {
@@ -30,13 +56,13 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
     },
     "Measure": {
         "import": "import_.import_",
-        "plan": "plan.plan",
-        "iso230": "evaluate.iso230",
-        "straightness": "evaluate.straightness",
-        "parallelism": "evaluate.parallelism",
-        "drift": "evaluate.drift",
-        "ballbar": "evaluate.ballbar",
-        "grid": "evaluate.grid",
+        "plan": "measure.plan",
+        "iso230": "measure.iso230",
+        "straightness": "measure.straightness",
+        "parallelism": "measure.parallelism",
+        "drift": "measure.drift",
+        "ballbar": "measure.ballbar",
+        "grid": "measure.grid",
     },
     "Model": {
         "fit": "model.fit",

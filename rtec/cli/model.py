@@ -272,7 +272,7 @@ def _ask(choice: "ProposedStep") -> "Finding | None":
 def _ask_made(made: "Added") -> bool:
     """Show the error before and after a change that names no cause (a refit, a further temperature), and ask."""
     from rtec.cli.common import show_page
-    from rtec.report.additions import added_page
+    from rtec.report.history import added_page
 
     show_page(added_page(made, figures=False), full=False)
     said = f"Add {', '.join(made.labels)}, a further temperature?" if made.labels else "Refit the model's own numbers?"

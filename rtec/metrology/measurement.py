@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.frames import Kind, frame
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
-from rtec.result import Shown
+from rtec.result import Kind, Shown, frame
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -26,10 +26,9 @@ from rich.text import Text
 
 from rtec import errors
 from rtec.cli.control import show
-from rtec.cli.main import status
+from rtec.cli.main import shielded, status
 from rtec.cli.run import show_report
 from rtec.cli.screen import Console
-from rtec.cli.shield import shielded
 from rtec.control.client import Outcome
 from rtec.control.desk import Desk
 from rtec.control.prometheus import metrics

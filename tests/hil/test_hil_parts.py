@@ -36,8 +36,8 @@ from rtec_drivers.hil.findings import (
     unheld_spans,
 )
 from rtec_drivers.hil.injector import can_switches, modbus_switches
+from rtec_drivers.hil.plant import TipTrack, accuracy
 from rtec_drivers.hil.soak import RECOVER_S, Resources, ResourceSeries, TimeStretch, draw_faults
-from rtec_drivers.hil.track import TipTrack, accuracy
 from rtec_drivers.hil.wiring import read_wiring
 from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.modbus.frame import HOLDING, INPUT, ModbusRequest, find_rtu

@@ -14,7 +14,7 @@ from rtec.demo import figures as demo
 from rtec.report import (
     ball_bar_figures,
     compare_figures,
-    diagnosis_figures,
+    diagnosis,
     effects_figures,
     fit,
     grid,
@@ -77,7 +77,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "falling": lambda: drawn(fit.falling, np.array([100.0, 30.0, 9.0]), np.array([106.0, 35.0, 12.0])),
     "residuals": lambda: drawn(fit.residuals, [("laser", "µm", HOURS, NOISE[None, :25])]),
     "rivals": lambda: drawn(
-        diagnosis_figures.rivals,
+        diagnosis.rivals,
         [("scale(EXX, X)", 0.98, True, "99% probable"), ("backlash(EXX, X)", 0.1, False, "less likely")],
     ),
     "hil": lambda: drawn(hil.tip_errors, HOURS, [("X", NOISE[:25], NOISE[25:50])], [("silent", 3.0, 6.0)]),

@@ -27,9 +27,8 @@ from rtec_drivers.hil.findings import (
     quiet_spans,
     unheld_spans,
 )
-from rtec_drivers.hil.plant import Recorder
+from rtec_drivers.hil.plant import Recorder, TipTrack, accuracy, directions, errors_um
 from rtec_drivers.hil.soak import RECOVER_S, soak
-from rtec_drivers.hil.track import TipTrack, accuracy, directions, errors_um
 from rtec_drivers.hil.wiring import Wiring, read_wiring
 from rtec_drivers.sim import SimDriver
 

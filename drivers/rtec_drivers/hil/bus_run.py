@@ -26,7 +26,7 @@ from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state_files import state_places
 from rtec_drivers.hil.faults import FaultWatch
-from rtec_drivers.hil.track import TipTrack
+from rtec_drivers.hil.plant import TipTrack
 from rtec_drivers.hil.wiring import SENSED, TRACK, Wiring
 
 NS = 1e-9

@@ -144,7 +144,7 @@ class Added(Result):
         own_kept: number of effects of the model, from the first on, that have kept their numbers.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.additions:added_page"
+    page_maker: ClassVar[str] = "rtec.report.history:added_page"
 
     model: Model
     labels: tuple[str, ...]

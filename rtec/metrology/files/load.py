@@ -18,6 +18,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
+from rtec.files import whole, write_text
 from rtec.machine import Axis, Machine
 from rtec.metrology.files.checks import CheckedRows, check_order, remarks
 from rtec.metrology.files.columns import check_columns, on_circle, still_right
@@ -27,7 +28,6 @@ from rtec.metrology.files.toml import TABLES, Leniency, find_files, read_measure
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.measurement import Measurement
 from rtec.tomlfile import nearest
-from rtec.wholefile import whole, write_text
 
 Column = NDArray[np.float64] | NDArray[np.int64]
 

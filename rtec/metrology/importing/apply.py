@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtec.errors import MeasurementError
-from rtec.frames import Kind, frame
 from rtec.machine import Machine
 from rtec.metrology.files.load import Column as Values
 from rtec.metrology.files.load import write_files
@@ -23,7 +22,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
 from rtec.metrology.readers.base import ForeignTable
 from rtec.metrology.units import convert, unit_of_column
-from rtec.result import Result
+from rtec.result import Kind, Result, frame
 from rtec.tomlfile import nearest
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from rtec.errors import MeasurementError
-from rtec.limits import check_size
+from rtec.files import check_size
 from rtec.metrology.files.table import look_over
 from rtec.quantities import Counts
 from rtec.tomlfile import Strict, nearest

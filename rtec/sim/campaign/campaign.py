@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.frames import Kind
 from rtec.metrology.instruments.base import Instrument, Nuisance
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.result import Result
+from rtec.result import Kind, Result
 from rtec.sim.campaign.cycle import Cycle, make_cycle, make_path, readings_um
 from rtec.sim.campaign.protocol import (
     Timeline,

@@ -1,11 +1,11 @@
-"""A file appears under its name whole or not at all, whatever happens while it is written."""
+"""Files: written whole or not at all, and refused where they do not fit into this computer's memory."""
 
 import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from rtec.errors import RtecError
 
@@ -47,3 +47,23 @@ def write_text(text: str, path: Path, error: type[RtecError]) -> None:
     """Write a text; the file appears whole or not at all, and replaces an existing one."""
     with whole(path, error) as out:
         out.write(text.encode())
+
+
+SHARE: Final = 0.5
+"""Share of the memory for one file."""
+
+
+def most_bytes(expansion: int) -> int:
+    """Largest size, bytes, of a file that takes `expansion` bytes of memory for each of its bytes while it is read."""
+    return int(SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")) // expansion
+
+
+def check_size(path: Path, size: int, expansion: int, error: type[RtecError]) -> None:
+    """Refuse a file that, as read or unpacked, does not fit into memory.
+
+    Raises:
+        error: it is larger than `most_bytes`; the message has both sizes.
+    """
+    most = most_bytes(expansion)
+    if size > most:
+        raise error(f"{path}: {size:.3g} bytes, and this computer's memory holds {most:.3g} of such a file; divide it")

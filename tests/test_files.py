@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rtec.errors import ConfigError, ModelError
-from rtec.wholefile import whole, write_text
+from rtec.files import whole, write_text
 
 
 def test_it_takes_the_place_of_the_old_one_and_leaves_nothing_beside(tmp_path: Path) -> None:
