@@ -23,7 +23,7 @@ from rtec.tomlfile import validated
 from rtec_drivers.ascii.driver import AsciiLinesDriver
 from rtec_drivers.ascii.text import AsciiOptions
 from rtec_drivers.box.driver import SerialBoxDriver
-from rtec_drivers.box.simulator import BoxSimulator, StillPlant
+from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.can.bus import CanOptions
 from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.can.encoders import CanEncodersDriver
@@ -31,6 +31,7 @@ from rtec_drivers.can.scan import CanScanner
 from rtec_drivers.modbus.driver import ModbusDriver, ModbusOptions, float_pairs
 from rtec_drivers.pty_peer import PtyPeer
 from tests.drivers.test_modbus_others import other_server, program, pty_pair, running
+from tests.support.box_peer import StillPlant
 from tests.support.can_peer import Repeater, bus_on, frame, new_channel
 from tests.support.modbus_peer import CLOCK, FakeSlave, line
 

@@ -176,35 +176,14 @@ def command_payload(boot: int, targets: Sequence[int]) -> bytes:
     return struct.pack(f"<H{len(targets)}i", boot, *targets)
 
 
-def command_of(payload: bytes) -> tuple[int, tuple[int, ...]] | None:
-    """Boot number and targets of a COMMAND; None where the length is wrong."""
-    axes, rest = divmod(len(payload) - 2, 4)
-    if rest or not 0 < axes <= MAX_AXES:
-        return None
-    boot, *targets = struct.unpack(f"<H{axes}i", payload)
-    return boot, tuple(targets)
-
-
 def resume_payload(boot: int) -> bytes:
     """Payload of RESUME, for the box that started as `boot`."""
     return struct.pack("<H", boot)
 
 
-def info_payload(info: Info) -> bytes:
-    """Payload of INFO."""
-    return _INFO.pack(info.boot, info.box_serial, info.axes, info.counter_bits, info.hold_after_ms, info.counts_per_s)
-
-
 def info_of(payload: bytes) -> Info | None:
     """Content of an INFO; None where it is too short. Of a longer one the known part is read."""
     return Info(*_INFO.unpack_from(payload)) if len(payload) >= _INFO.size else None
-
-
-def state_payload(state: BoxState) -> bytes:
-    """Payload of STATE: after the header counts and ledger, axis by axis."""
-    pairs = [n for pair in zip(state.counts, state.ledger, strict=True) for n in pair]
-    head = _STATE.pack(state.boot, state.status, state.last_command, state.time_us)
-    return head + struct.pack("<" + "Ii" * len(state.counts), *pairs)
 
 
 def state_of(payload: bytes) -> BoxState | None:

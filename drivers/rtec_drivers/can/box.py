@@ -67,12 +67,6 @@ def unpack(identifier: int, data: bytes) -> BoxFrame | None:
     return BoxFrame(*_BODY.unpack(data[:7]))
 
 
-def info_number(version: int, axes: int, hold_after_ms: int) -> int:
-    """Number of an INFO frame: version (8 bits), axes (8 bits), time until it holds (16 bits)."""
-    number: int = struct.unpack("<i", struct.pack("<BBH", version, axes, hold_after_ms))[0]
-    return number
-
-
 def info_of(number: int) -> tuple[int, int, int]:
     """Version, axes, and the silence after which the box holds, ms."""
     version, axes, hold_after_ms = struct.unpack("<BBH", struct.pack("<i", number))
