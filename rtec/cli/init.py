@@ -299,7 +299,7 @@ def _ready(run: Path) -> bool:
     from rtec.doctor.devices import examine
     from rtec.errors import RtecError
     from rtec.loop.run_file import load_setup
-    from rtec.report.doctor import doctor_page
+    from rtec.report.devices import doctor_page
 
     typer.echo(f"\nrtec doctor {run} --no-pc")
     found = examine(run, 3.0)

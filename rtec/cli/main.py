@@ -84,7 +84,7 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
         "status": "control.status",
         "telemetry": "control.telemetry",
         "log": "log.app",
-        "machine": "machine.app",
+        "machine": "look_up.app",
         "drivers": "look_up.drivers",
         "explain": "look_up.explain",
     },

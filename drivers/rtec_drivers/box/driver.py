@@ -17,8 +17,7 @@ from rtec.machine import Machine
 from rtec.quantities import Counts, MillimetresPerSecond
 from rtec.tomlfile import validated
 from rtec_drivers.box import protocol
-from rtec_drivers.box.ledger import BoxLedger
-from rtec_drivers.box.protocol import Info
+from rtec_drivers.box.protocol import BoxLedger, Info
 from rtec_drivers.box.session import HELLO_PERIOD_S, BoxAnswer, BoxSession
 from rtec_drivers.count_tracker import CountTracker, axis_order, max_counts_per_s
 from rtec_drivers.reopen import Reopener

@@ -21,8 +21,7 @@ from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailab
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.quantities import Counts, MillimetresPerSecond
-from rtec_drivers.box.ledger import BoxLedger
-from rtec_drivers.box.protocol import NOT_RESUMED, BoxState
+from rtec_drivers.box.protocol import NOT_RESUMED, BoxLedger, BoxState
 from rtec_drivers.can.bus import CanOptions, CanPort
 from rtec_drivers.count_tracker import CountTracker, axis_order, max_counts_per_s
 
