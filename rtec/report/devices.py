@@ -1,14 +1,17 @@
 """Pages about devices: the installed drivers; what the doctor found in the devices and in this computer."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from rtec.doctor.found import DeviceFault, DeviceFound, Examination, PcFinding, PcFound, Value
-from rtec.loop.driver_info import DriverFacts, Option
 from rtec.report.page import Page, Section, Table
 from rtec.wording import significant
 
+if TYPE_CHECKING:
+    from rtec.doctor.found import DeviceFault, DeviceFound, Examination, PcFinding, PcFound, Value
+    from rtec.loop.driver_info import DriverFacts, Option
 
-def drivers_page(drivers: Sequence[DriverFacts]) -> Page:
+
+def drivers_page(drivers: "Sequence[DriverFacts]") -> Page:
     """The table of all drivers; those that cannot be used are in a section of their own."""
     rows = [driver_row(d) for d in drivers if not d.trouble]
     lead = (
@@ -23,13 +26,13 @@ def drivers_page(drivers: Sequence[DriverFacts]) -> Page:
     return Page("Drivers", lead, (), sections)
 
 
-def driver_row(driver: DriverFacts) -> tuple[str, str, str, str]:
+def driver_row(driver: "DriverFacts") -> tuple[str, str, str, str]:
     """Row of a driver: name, its readings, its outputs, description."""
     reads = ", ".join(role for role in driver.roles if role != "actuator")
     return driver.name, reads or "-", _takes(driver), driver.summary
 
 
-def driver_page(driver: DriverFacts) -> Page:
+def driver_page(driver: "DriverFacts") -> Page:
     """One driver in full; the command prints its example below, unchanged."""
     if driver.trouble:
         return Page(driver.name, driver.trouble, (), ())
@@ -46,7 +49,7 @@ def driver_page(driver: DriverFacts) -> Page:
     return Page(driver.name, f"{driver.name}: {driver.summary}", (), sections)
 
 
-def _by_table(options: Sequence[Option]) -> list[tuple[str, list[Option]]]:
+def _by_table(options: "Sequence[Option]") -> "list[tuple[str, list[Option]]]":
     """Options by their table: the device's own first, then nested tables in their order."""
     out: dict[str, list[Option]] = {}
     for option in options:
@@ -54,18 +57,18 @@ def _by_table(options: Sequence[Option]) -> list[tuple[str, list[Option]]]:
     return sorted(out.items(), key=lambda item: item[0] != "")
 
 
-def _options_section(table: str, options: Sequence[Option]) -> Section:
+def _options_section(table: str, options: "Sequence[Option]") -> Section:
     heading = f"Options in its table {table}" if table else "Options"
     head = ("option", "value", "default", "meaning")
     return Section(heading, (), Table(head, [_option_row(o) for o in options], words=(0, 1, 2, 3)))
 
 
-def _option_row(option: Option) -> tuple[str, str, str, str]:
+def _option_row(option: "Option") -> tuple[str, str, str, str]:
     default = "required" if option.required else option.default or "-"
     return option.name.rpartition(".")[2], option.kind, default, option.meaning.replace("`", "")
 
 
-def _takes(driver: DriverFacts) -> str:
+def _takes(driver: "DriverFacts") -> str:
     if "actuator" not in driver.roles:
         return "-"
     return ", ".join(driver.takes) or "asked when it is opened"
@@ -75,7 +78,7 @@ HEAD = ("device", "driver", "value", "now", "age", "rate", "")
 WORDS = (0, 1, 2, 6)
 
 
-def doctor_page(found: Examination) -> Page:
+def doctor_page(found: "Examination") -> Page:
     """Values of all devices in one table; then, device by device, faults and remedies."""
     sick = [d for d in found.devices if d.wrong]
     verdict = f"Of {_devices(len(found.devices))} {_are(len(sick))} not well." if sick else "All devices are well."
@@ -90,19 +93,19 @@ def doctor_page(found: Examination) -> Page:
     return Page("Doctor", f"{found.machine}: {many}, {how}. {verdict}", (), sections)
 
 
-def doctor_table(devices: Sequence[DeviceFound]) -> Table:
+def doctor_table(devices: "Sequence[DeviceFound]") -> Table:
     """One row a value; a device without values has one row with its state."""
     return Table(HEAD, [row for device in devices for row in _rows(device)], words=WORDS)
 
 
-def _rows(device: DeviceFound) -> list[tuple[str, ...]]:
+def _rows(device: "DeviceFound") -> list[tuple[str, ...]]:
     state = device.doing if device.doing != "done" else "wrong" if device.wrong else "good"
     first = (device.name, device.driver)
     rows = [_value(v) for v in device.values] or [("-", "-", "-", "-")]
     return [(*(first if k == 0 else ("", "")), *row, state if k == 0 else "") for k, row in enumerate(rows)]
 
 
-def _value(value: Value) -> tuple[str, str, str, str]:
+def _value(value: "Value") -> tuple[str, str, str, str]:
     number = f"{value.value:.{value.digits}f} {value.unit}"
     return value.name, number, _age(value.age_s), "-" if value.rate_hz is None else f"{significant(value.rate_hz)} /s"
 
@@ -113,7 +116,7 @@ def _age(age_s: float | None) -> str:
     return f"{age_s * 1e3:.1f} ms" if age_s < 0.1 else f"{age_s:.1f} s"
 
 
-def _fault_lines(faults: Sequence[DeviceFault]) -> list[str]:
+def _fault_lines(faults: "Sequence[DeviceFault]") -> list[str]:
     """Lines of faults, each followed by its remedies."""
     return ["\n    → ".join((f.what, *f.mend)) for f in faults]
 
@@ -129,7 +132,7 @@ def _are(n: int) -> str:
 STATES = {"good": "good", "better": "could be better", "wrong": "wrong", "unknown": "not known"}
 
 
-def pc_page(found: PcFound) -> Page:
+def pc_page(found: "PcFound") -> Page:
     """Findings in one table; then the settings to change, with their files."""
     wrong = [f for f in found.findings if f.state == "wrong"]
     better = [f for f in found.findings if f.state == "better"]
@@ -145,7 +148,7 @@ def pc_page(found: PcFound) -> Page:
     return Page("This computer", lead, (), sections)
 
 
-def _verdict(wrong: list[PcFinding], better: list[PcFinding]) -> str:
+def _verdict(wrong: "list[PcFinding]", better: "list[PcFinding]") -> str:
     if wrong:
         return f"not fit for real time yet: {', '.join(f.topic for f in wrong)}."
     return (
@@ -153,7 +156,7 @@ def _verdict(wrong: list[PcFinding], better: list[PcFinding]) -> str:
     )
 
 
-def _how(found: PcFound) -> list[str]:
+def _how(found: "PcFound") -> list[str]:
     out = []
     limits, unit, kernel = found.lines("limits"), found.lines("unit"), found.lines("kernel")
     if limits:
