@@ -5,18 +5,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Group, RenderableType
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
 
 from rtec.cli.common import Json, print_console, print_json
 from rtec.cli.help import App
-from rtec.cli.screen import Console
 from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table
+
     from rtec.control.client import Client
     from rtec.loop.clock import Clock
     from rtec.loop.orders import Order
@@ -160,6 +157,10 @@ def show(found: dict[str, Any]) -> None:
 
 def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
     """Show the status repeatedly: in place on a terminal, else page below page; with `as_json` a line each time."""
+    from rich.live import Live
+
+    from rtec.cli.screen import Console
+
     console = Console(highlight=False)
     while as_json or not console.is_terminal:
         if as_json:
@@ -173,8 +174,11 @@ def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
             live.update(page(client.status()), refresh=True)
 
 
-def page(found: dict[str, Any]) -> RenderableType:
+def page(found: dict[str, Any]) -> "RenderableType":
     """The whole status as one renderable."""
+    from rich.console import Group
+    from rich.text import Text
+
     axes = _table(("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts"), axis_rows(found))
     inputs = _table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else [])
     return Group(
@@ -187,7 +191,11 @@ def page(found: dict[str, Any]) -> RenderableType:
     )
 
 
-def _table(head: tuple[str, ...], rows: list[list[str]]) -> Table:
+def _table(head: tuple[str, ...], rows: list[list[str]]) -> "Table":
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for k, name in enumerate(head):
         table.add_column(Text(name), justify="right" if k else "left")
