@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, Choice
     from rtec.metrology.ball_bar.phase import Phase
     from rtec.metrology.files.toml import Leniency
-    from rtec.metrology.grid.evaluation import GridEvaluation
+    from rtec.metrology.grid.compare import GridEvaluation
     from rtec.metrology.importing import Imported, ImportProposal
     from rtec.metrology.procedures.drift import Drift
     from rtec.metrology.procedures.iso230_2 import PositioningTests
     from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
     from rtec.model.history import History
-    from rtec.playback.result import Replayed
+    from rtec.playback.replay import Replayed
     from rtec.sim.campaign.campaign import Simulated
 
 PathLike = str | Path
@@ -206,9 +206,9 @@ def simulate(
     Raises:
         ConfigError, ModelError, MeasurementError: an impossible argument; the message lists the possible ones.
     """
-    from rtec.metrology.files.save import save_measurement
+    from rtec.metrology.files.load import save_measurement
     from rtec.sim.campaign.campaign import simulate_with_truth
-    from rtec.sim.campaign.request import instrument_of, settings_of, table_path
+    from rtec.sim.campaign.settings import instrument_of, settings_of, table_path
     from rtec.sim.campaign.truth import truth_of
 
     described = _machine(machine)
@@ -573,7 +573,7 @@ def grid(
     Raises:
         MeasurementError: other instruments or machines; no straight pieces.
     """
-    from rtec.metrology.grid.evaluation import evaluate
+    from rtec.metrology.grid.compare import evaluate
 
     read, paths = _measurements(_listed(measurements), _machine(machine))
     return _finished(evaluate(read, corner_mm, trim_mm, magnification), _path(machine), paths, report)
@@ -711,7 +711,7 @@ def replay(
     Raises:
         ConfigError, LogError: the run file, the log or the capture cannot be used.
     """
-    from rtec.playback.result import replayed
+    from rtec.playback.replay import replayed
 
     return replayed(Path(config), Path(log), None if out is None else Path(out), check=check, progress=progress)
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from rtec.errors import ConfigError, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.tomlfile import Strict
-from rtec_drivers.link_worker import FirstRetry, LongestRetry
+from rtec_drivers.reopen import FirstRetry, LongestRetry
 from rtec_drivers.serial_line import PortFinder, PortOptions, SerialLine
 
 NS = 1_000_000_000

@@ -1,9 +1,49 @@
-"""From a counter that wraps to a position that does not; refuses readings that the machine cannot have reached."""
+"""From a device's counters to the machine's axes: their order, their highest speeds, and positions that do not wrap.
+
+Refuses readings that the machine cannot have reached.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rtec.errors import DriverFault
+from rtec.errors import ConfigError, DriverFault
+from rtec.machine import Machine
+from rtec.tomlfile import nearest
+
+
+def axis_order(axes: tuple[str, ...] | None, machine: Machine) -> tuple[int, ...]:
+    """For every input of a device, the index of its axis in the machine's order.
+
+    Raises:
+        ConfigError: an axis that the machine does not have, or one that is missing or named twice.
+    """
+    names = machine.axis_names
+    ordered = names if axes is None else axes
+    faults = [f"axes: machine {machine.name!r} has no axis {n!r}{nearest(n, names)}" for n in ordered if n not in names]
+    faults += [f"axes: {n!r} is there {ordered.count(n)} times; every axis must, once" for n in names
+               if ordered.count(n) != 1]  # fmt: skip
+    if faults:
+        raise ConfigError("\n".join(faults))
+    return tuple(names.index(n) for n in ordered)
+
+
+def max_counts_per_s(max_speed_mm_s: dict[str, float], machine: Machine) -> tuple[float, ...]:
+    """Highest speed of every axis in counts a second.
+
+    Raises:
+        ConfigError: an axis that the machine does not have, or one without a speed.
+    """
+    names = machine.axis_names
+    faults = [
+        f"max_speed_mm_s: machine {machine.name!r} has no axis {n!r}{nearest(n, names)}"
+        for n in max_speed_mm_s
+        if n not in names
+    ]
+    faults += [f"max_speed_mm_s: axis {n!r} is missing" for n in names if n not in max_speed_mm_s]
+    if faults:
+        raise ConfigError("\n".join(faults))
+    return tuple(max_speed_mm_s[a.name] * a.counts_per_mm for a in machine.axes)
+
 
 NS = 1e-9
 SLACK_COUNTS = 2

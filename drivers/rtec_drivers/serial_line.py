@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from rtec.errors import DriverTimeout, DriverUnavailable
 from rtec.tomlfile import Strict
-from rtec_drivers.link_worker import FirstRetry, LongestRetry
+from rtec_drivers.reopen import FirstRetry, LongestRetry
 
 READ_BYTES = 4096
 SELECT_LIMIT = 1024

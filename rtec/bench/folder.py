@@ -13,7 +13,7 @@ from rtec.bench.score import VERDICTS, TrialAnswer
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import GROUPS, Right, Trial, build, trials
 from rtec.errors import MeasurementError
-from rtec.metrology.files.save import save_measurement
+from rtec.metrology.files.load import save_measurement
 from rtec.model import save_model
 from rtec.tomlfile import read_toml
 

@@ -1,4 +1,4 @@
-"""Scores answers to the benchmark's trials: a row for each claim of a diagnosis, with its goal."""
+"""Scores answers to the benchmark's trials: a row for each claim of a diagnosis, with its goal; and their page."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -6,9 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.bench.rig.noise import FORMS
+from rtec.bench.rig.campaign import FORMS
 from rtec.bench.trials import Names, Right, Trial
 from rtec.errors import MeasurementError
+from rtec.report.page import Page, Section, Table
+from rtec.wording import percent
 
 VERDICTS = ("nothing_missing", "undecided", "missing_effect", "ambiguous", "unknown_effect")
 CLAIMS = ("missing_effect", "ambiguous")
@@ -229,3 +231,21 @@ def _quiet(pairs: Sequence[Pair]) -> list[ScoreRow]:
             _row(f"nothing hidden, {words}: an effect is named", mine, lambda _, a: a.verdict in CLAIMS, 0.02, True)
         )
     return out
+
+
+def bench_page(rows: Sequence[ScoreRow], sets: int) -> Page:
+    """Every row with its goal.
+
+    Args:
+        rows: rows of the score.
+        sets: number of data sets.
+    """
+    met = sum(r.met for r in rows)
+    lines = [
+        (r.what, f"{r.hits} of {r.total}", f"{'at most' if r.at_most else 'at least'} {percent(r.goal)}",
+         "met" if r.met else "missed")
+        for r in rows
+    ]  # fmt: skip
+    table = Table(("what", "sets", "goal", ""), lines, words=(0, 3))
+    lead = f"{met} of {len(rows)} goals are met, over {sets} data sets."
+    return Page("Benchmark of hidden effects", lead, [], [Section("Score", [], table)])

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.bench.rig import campaign as c
-from rtec.bench.rig import noise
 from rtec.bench.rig.campaign import CampaignPlan, Errors, Record
-from rtec.bench.rig.heat import Day, bearing_seen, day, growth_seen
-from rtec.bench.rig.machine import PITCH_MM, SENSORS, description, displaced
+from rtec.bench.rig.machine import PITCH_MM, SENSORS, Day, bearing_seen, day, description, displaced, growth_seen
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator
@@ -534,7 +532,7 @@ GROUPS: dict[str, Mapping[str, Builder]] = {
         )
         for f in effects
     },
-    "quiet": {f"{form}_{kind}": _clean(form, kind) for form in noise.FORMS for kind in ("line", "drift", "uneven")},
+    "quiet": {f"{form}_{kind}": _clean(form, kind) for form in c.FORMS for kind in ("line", "drift", "uneven")},
 }
 FAINT = ("run_level", "lean")
 """Groups with further trials at signal-to-noise 1."""

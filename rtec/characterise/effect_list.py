@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rtec.effects import Effect, effect_class
-from rtec.effects.trial import check_effect
+from rtec.effects.registry import check_effect
 from rtec.errors import ModelError
 from rtec.machine import Machine
 from rtec.tomlfile import nearest, validated

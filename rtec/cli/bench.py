@@ -46,8 +46,7 @@ def discovery(
     """
     from rtec.bench.folder import ANSWERS, SETS, BenchmarkRange, read_answers, read_range, write_sets
     from rtec.bench.own import own_answers
-    from rtec.bench.page import bench_page
-    from rtec.bench.score import score
+    from rtec.bench.score import bench_page, score
     from rtec.bench.trials import GROUPS
     from rtec.cli.common import bar, give
 

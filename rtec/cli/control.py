@@ -1,24 +1,23 @@
-"""`rtec status` shows the state of a running daemon; `rtec ctl` controls it."""
+"""`rtec status` shows the state of a running daemon, `rtec telemetry` publishes it, `rtec ctl` controls it."""
 
+import platform
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Group, RenderableType
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
 
 from rtec.cli.common import Json, print_console, print_json
 from rtec.cli.help import App
-from rtec.cli.screen import Console
 from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table
+
     from rtec.control.client import Client
     from rtec.loop.clock import Clock
     from rtec.loop.orders import Order
+    from rtec.loop.run_file import Setup
 
 Config = Annotated[
     Path | None,
@@ -123,8 +122,7 @@ def relay(
 
     Example, a line of authorized_keys: `restrict,command="rtec ctl relay /etc/rtec/mill.toml --name office" ssh-…`
     """
-    from rtec.control.client import find
-    from rtec.control.relay import relay
+    from rtec.control.client import find, relay
 
     path = find(config, None, None).path
     if path is not None:
@@ -159,6 +157,10 @@ def show(found: dict[str, Any]) -> None:
 
 def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
     """Show the status repeatedly: in place on a terminal, else page below page; with `as_json` a line each time."""
+    from rich.live import Live
+
+    from rtec.cli.screen import Console
+
     console = Console(highlight=False)
     while as_json or not console.is_terminal:
         if as_json:
@@ -172,8 +174,11 @@ def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
             live.update(page(client.status()), refresh=True)
 
 
-def page(found: dict[str, Any]) -> RenderableType:
+def page(found: dict[str, Any]) -> "RenderableType":
     """The whole status as one renderable."""
+    from rich.console import Group
+    from rich.text import Text
+
     axes = _table(("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts"), axis_rows(found))
     inputs = _table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else [])
     return Group(
@@ -186,7 +191,11 @@ def page(found: dict[str, Any]) -> RenderableType:
     )
 
 
-def _table(head: tuple[str, ...], rows: list[list[str]]) -> Table:
+def _table(head: tuple[str, ...], rows: list[list[str]]) -> "Table":
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for k, name in enumerate(head):
         table.add_column(Text(name), justify="right" if k else "left")
@@ -222,3 +231,44 @@ def status(
         show(found)
     if not well(found):
         raise typer.Exit(1)
+
+
+def telemetry(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="Run file with [telemetry]; that of the daemon.")],
+    devices: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the device file of an MTConnect agent, and end.", show_default=False),
+    ] = None,
+) -> None:
+    """Publishes the status of a running daemon: MQTT, MTConnect, OPC UA. It only reads, and the daemon may start later.
+
+    Ctrl-C ends it.
+
+    Example: `rtec telemetry configs/turning-centre-sim.toml`
+
+    What it publishes, and where, is in `[telemetry]` of the run file; without that nothing is published. Each protocol
+    is a process of its own, restarted when it fails. The correction does not depend on any of them.
+    """
+    from rtec.loop.clock import RealClock
+    from rtec.loop.run_file import load_setup
+    from rtec.telemetry.processes import Processes, tasks
+
+    setup = load_setup(config.resolve(), needs_model=False, needs_devices=False)
+    if devices is not None:
+        _write_devices(setup, devices)
+        return
+    wanted = tasks(setup)
+    with Processes(wanted, RealClock()) as processes:
+        processes.run()
+    raise typer.Exit(130)
+
+
+def _write_devices(setup: "Setup", out: Path) -> None:
+    from rtec.errors import ConfigError
+    from rtec.files import write_text
+    from rtec.telemetry.mtconnect import device_file
+
+    machine = setup.machine
+    identity = f"{platform.node()}{setup.path}"
+    write_text(device_file(machine.name, machine.axis_names, machine.sensor_names, identity), out, ConfigError)
+    typer.echo(f"device file: {out}")

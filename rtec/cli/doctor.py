@@ -32,7 +32,7 @@ class DoctorScreen:
 
     def update(self, devices: "list[DeviceFound]") -> None:
         """Show the present values."""
-        from rtec.report.doctor import doctor_table
+        from rtec.report.devices import doctor_table
 
         if self._on:
             self._live.update(grid(doctor_table(devices)))
@@ -72,7 +72,7 @@ def doctor(
 def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
     from rtec.cli.common import show_page
     from rtec.doctor.devices import examine
-    from rtec.report.doctor import doctor_page
+    from rtec.report.devices import doctor_page
 
     with DoctorScreen(quiet) as screen:
         found = examine(config, seconds, screen.update)
@@ -84,7 +84,7 @@ def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
 def _computer(config: Path | None, seconds: float, quiet: bool) -> "PcFound":
     from rtec.cli.common import bar, show_page
     from rtec.doctor.pc import look_at, wanted_of
-    from rtec.report.doctor import pc_page
+    from rtec.report.devices import pc_page
 
     with bar("measuring wake-ups") as tell:
         found = look_at(*wanted_of(config), seconds, tell)

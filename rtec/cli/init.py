@@ -218,7 +218,7 @@ def _ask_user(seconds: float, folder: Path) -> tuple[dict[str, Any], str]:
     """The user's answers at the terminal; names are exchanged where live values show it."""
     from rtec.commission.answers import answers_from
     from rtec.commission.ask import Interview, check_names
-    from rtec.commission.listen import LiveSource, live, watch
+    from rtec.commission.scan import LiveSource, live, watch
     from rtec.commission.write import machine_of
     from rtec.errors import RtecError
     from rtec.loop.clock import RealClock
@@ -279,7 +279,7 @@ def _write(tables: dict[str, Any], source: str, folder: Path, force: bool, *, ke
     import tomli_w
 
     from rtec.commission.answers import answers_from
-    from rtec.commission.files import write_together
+    from rtec.commission.example import write_together
     from rtec.commission.write import checked_setup, texts
 
     answers = answers_from(tables, source)
@@ -299,7 +299,7 @@ def _ready(run: Path) -> bool:
     from rtec.doctor.devices import examine
     from rtec.errors import RtecError
     from rtec.loop.run_file import load_setup
-    from rtec.report.doctor import doctor_page
+    from rtec.report.devices import doctor_page
 
     typer.echo(f"\nrtec doctor {run} --no-pc")
     found = examine(run, 3.0)

@@ -1,4 +1,4 @@
-"""`rtec`: assembles the commands; turns errors into one message and an exit status.
+"""`rtec`: assembles the commands, cleans their output, turns errors into one message and an exit status.
 
 Exit status: 0 done; 1 a check or limit failed; 2 wrong use or bad input; 130 interrupted.
 """
@@ -8,16 +8,42 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO, cast
 
 import typer
 
 from rtec.cli.help import App
-from rtec.cli.shield import shielded
 from rtec.errors import RtecError
+from rtec.text import clean_lines
 from rtec.version import __version__
+
+
+class _Shield:
+    """A stream that cleans its text; rich recognises such a proxy and writes to the stream behind it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.rich_proxied_file = stream
+
+    def write(self, text: str) -> int:
+        return self.rich_proxied_file.write(clean_lines(text))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+@contextmanager
+def shielded() -> Iterator[None]:
+    """Context in which all text to standard output and error is cleaned."""
+    out, err = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = cast(TextIO, _Shield(out)), cast(TextIO, _Shield(err))
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = out, err
+
 
 COMMANDS: Mapping[str, Mapping[str, str]] = {
     "Try": {
@@ -30,37 +56,37 @@ COMMANDS: Mapping[str, Mapping[str, str]] = {
     },
     "Measure": {
         "import": "import_.import_",
-        "plan": "plan.plan",
-        "iso230": "procedures.iso230",
-        "straightness": "procedures.straightness",
-        "parallelism": "procedures.parallelism",
-        "drift": "procedures.drift",
-        "ballbar": "ballbar.ballbar",
-        "grid": "grid.grid",
+        "plan": "measure.plan",
+        "iso230": "measure.iso230",
+        "straightness": "measure.straightness",
+        "parallelism": "measure.parallelism",
+        "drift": "measure.drift",
+        "ballbar": "measure.ballbar",
+        "grid": "measure.grid",
     },
     "Model": {
-        "fit": "fit.fit",
-        "compare": "compare.compare",
-        "diagnose": "diagnose.diagnose",
-        "add": "diagnose.add",
-        "improve": "diagnose.improve",
-        "history": "diagnose.history",
-        "effects": "effects.effects",
+        "fit": "model.fit",
+        "compare": "model.compare",
+        "diagnose": "model.diagnose",
+        "add": "model.add",
+        "improve": "model.improve",
+        "history": "model.history",
+        "effects": "look_up.effects",
     },
     "Run": {
         "doctor": "doctor.doctor",
         "run": "run.run",
         "ctl": "control.app",
         "table": "table.app",
-        "replay": "replay.replay",
+        "replay": "run.replay",
     },
     "Look": {
         "status": "control.status",
-        "telemetry": "telemetry.telemetry",
+        "telemetry": "control.telemetry",
         "log": "log.app",
-        "machine": "machine.app",
-        "drivers": "drivers.drivers",
-        "explain": "explain.explain",
+        "machine": "look_up.app",
+        "drivers": "look_up.drivers",
+        "explain": "look_up.explain",
     },
 }
 """Every command of `rtec`, by purpose: its module in `rtec.cli`, and its name there. This table is the only list of

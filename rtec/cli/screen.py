@@ -1,6 +1,6 @@
 """A console of rich that shows foreign text as plain text: no markup, no escape codes, no forged lines.
 
-Its own codes bypass the shield of standard output and error (`rtec.cli.shield`).
+Its own codes bypass the shield of standard output and error (`rtec.cli.main`).
 """
 
 from collections.abc import Iterable

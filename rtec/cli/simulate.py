@@ -87,7 +87,7 @@ def simulate(
     avoid multiples of the pitch. Noise is in the unit of the reading, µm or µrad.
     """
     from rtec import api
-    from rtec.sim.campaign.request import setup_table
+    from rtec.sim.campaign.settings import setup_table
 
     targets = {"range_mm": span, "step_mm": step, "keep_step": keep_step or None, "dwell_s": dwell}
     wrong = {"run_offset_um": run_offset, "resolution_um": resolution, "outliers": outliers, "lost": lost}

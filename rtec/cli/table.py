@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtec.cli.common import Json, print_json, show_page
-from rtec.cli.diagnose import MachineFile, ModelFile
 from rtec.cli.help import App, Group
+from rtec.cli.model import MachineFile, ModelFile
 
 if TYPE_CHECKING:
     from rtec.correction.tables.table import CompensationTable
@@ -78,8 +78,8 @@ def write(
     from rtec.correction.tables import table_format
     from rtec.correction.tables.predict import checked, conditions, grids_mm, residuals, table_of, with_heat
     from rtec.errors import ConfigError
+    from rtec.files import write_text
     from rtec.report.tables import written_page
-    from rtec.wholefile import write_text
 
     form = table_format(format_name, "--format")
     loaded = _model(model, machine)

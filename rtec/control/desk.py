@@ -10,7 +10,7 @@ from rtec.control.residual import Residual
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonParts
 from rtec.errors import unforeseen
-from rtec.log.events import Event
+from rtec.log.recording import Event
 from rtec.loop.clock import Clock
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup

@@ -8,13 +8,22 @@ Every cycle, in this order:
 2. Judge the model's request (`judge_request`): below the warning limit, below the stop limit?
 3. Judge the orders, and whether the actuator follows its commands (`judge_mode`).
 4. Decide for all axes together (`decide`): follow the model, fade to zero, hold, wait, or stand still.
-5. Move each axis (`move`, `guard_update`) within acceleration, slew and stop limit; then the ledger
-   (`rtec.correction.ledger`) within the sink's range (`within_sink`).
+5. Move each axis (`move`, `guard_update`) within acceleration, slew and stop limit; then the ledger, which
+   holds whole units of the sink (`ledger_update`), within the sink's range (`within_sink`).
 
 While anything is wrong the correction brakes within its acceleration limit and stays where it comes to rest: never a
 jump, never a silent zero. While the actuator is in trouble, the correction is held at the actuator's output, without
 braking, because a command that the actuator ignores moves nothing; it goes on from there, from rest. A gap between two
 cycles counts as one cycle at most (`cycle_s`), so one large command never makes up for a pause.
+
+A correction of c µm is `units_per_um · c` units of the sink. The ledger, the part of the correction that is in the
+machine, holds the whole units that were output. No remainder is lost, because each cycle starts from the whole
+correction again. For pulse insertion the units are encoder counts and, at every instant,
+
+    raw counts + inserted counts = corrected counts.
+
+Sign: inserted counts make the controller believe that the axis is further on, so the axis stops sooner [G 4.2.1]:
+`inserted = -correction · counts per µm`. Offsets added to a command have the sign of the correction.
 
 The functions are compiled where numba is installed, and are plain Python elsewhere. `rtec.loop.step_source` writes
 the source that calls them for a machine's axes and sensors; it decides nothing.
@@ -24,6 +33,7 @@ import math
 from typing import Final
 
 from rtec.correction.flags import HOLD_REASONS, MODE_HOLD, MODE_ON, ORDER_MASK, OUTPUT_TROUBLE, OUTPUT_UNCONFIRMED, Flag
+from rtec.correction.sinks import DEAD_BAND
 from rtec.jit import njit
 
 # Plain integers: the compiler knows no enumerations.
@@ -243,3 +253,29 @@ def guard_update(
     if arriving and limited == wanted:
         return goal, limited
     return min(max(applied + limited * dt, -bound), bound), limited
+
+
+@njit
+def ledger_update(
+    wanted: float, output: int, allowance: float, dt: float, quantum: int, rate: float
+) -> tuple[int, float]:
+    """Move the ledger towards the wanted units for one cycle.
+
+    Args:
+        wanted: the applied correction in units, not rounded.
+        output: units in the ledger.
+        allowance: units that may be output now, accumulated at `rate`.
+        dt: length of the cycle, s.
+        quantum: smallest step, units (4: whole encoder cycles).
+        rate: units per second that the sink and the controller can follow.
+
+    Returns:
+        output and allowance after the cycle. Output changes by whole quanta, at most at the rate.
+    """
+    allowance = min(allowance + rate * dt, quantum + rate * dt)
+    left = wanted - output
+    if abs(left) <= DEAD_BAND * quantum:
+        return output, allowance
+    steps = math.floor(abs(left) / quantum + 0.5)
+    moved = min(steps, math.floor(allowance / quantum)) * quantum
+    return output + (moved if left > 0.0 else -moved), allowance - moved

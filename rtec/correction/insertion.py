@@ -9,17 +9,165 @@ removal of a raw edge: the axis goes further [NIST guidelines, section 4.2.1].
 Raw edges pass with one fixed latency; their distances from each other never change. The latency is the look-ahead that
 keeps an inserted edge at its distance from the next raw edge. An inserted count against the motion may remove a raw
 edge, which only increases distances. Where the raw edges leave no room, the count waits.
+
+The compiled kernel works from event to event, not from sample to sample, and allocates nothing; times are sample
+indices of the raw stream.
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtec.correction import insertion_kernel as kernel
 from rtec.correction.quadrature import Bytes, DecoderState, Deltas, Ints, decode, lines_of, pack, phase_of, transitions
 from rtec.errors import ConfigError
+from rtec.jit import njit
+
+FAR = 1 << 62
+"""Later than any sample."""
+
+AT = 0
+"""First undecided sample."""
+END = 1
+"""Decide up to here, exclusive; the caller knows all raw transitions before END + separation - 1."""
+INSERTED = 2
+"""Counts inserted so far."""
+GOAL = 3
+"""Counts to reach next: the target, or in cycle mode a whole cycle."""
+TARGET = 4
+"""Latest target that is due."""
+LAST_INSERTION = 5
+"""Sample of the last inserted count: an added or a removed edge."""
+LAST_INSERTED_EDGE = 6
+"""Sample of the last inserted count that added an edge."""
+LAST_RAW = 7
+"""Sample of the last raw transition before AT."""
+STATE_SIZE = 8
+
+
+@njit
+def _sign(x: int) -> int:
+    return int(x > 0) - int(x < 0)
+
+
+@njit
+def _take_targets(targets: Any, next_target: int, state: Any) -> int:
+    """Make the latest due entry the target."""
+    at, counts = targets
+    while next_target < len(at) and at[next_target] <= state[AT]:
+        state[TARGET] = counts[next_target]
+        next_target += 1
+    return next_target
+
+
+@njit
+def _pass_edges(edges: Any, next_edge: int, state: Any) -> int:
+    """Skip the raw transitions before the undecided sample."""
+    at, _ = edges
+    while next_edge < len(at) and at[next_edge] < state[AT]:
+        state[LAST_RAW] = at[next_edge]
+        next_edge += 1
+    return next_edge
+
+
+@njit
+def _choose_goal(whole_cycles: int, state: Any) -> None:
+    """Set the goal. A cycle that has begun is finished; one begins where more than half a cycle is missing."""
+    if whole_cycles == 0:
+        state[GOAL] = state[TARGET]
+    elif state[INSERTED] == state[GOAL]:
+        wanting = state[TARGET] - state[GOAL]
+        if wanting > 2 or wanting < -2:
+            state[GOAL] += 4 * _sign(wanting)
+
+
+@njit
+def _place(edges: Any, next_edge: int, separation: int, delta: int, state: Any) -> tuple[int, bool]:
+    """First place at or before the next raw transition: its sample, and whether it removes that edge; -1: none."""
+    at, deltas = edges
+    next_raw = at[next_edge] if next_edge < len(at) else FAR
+    gap = max(state[AT], state[LAST_RAW] + separation, state[LAST_INSERTED_EDGE] + separation)
+    if gap + separation <= next_raw:
+        return gap, False
+    if deltas[next_edge] == -delta:
+        return next_raw, True
+    return -1, False
+
+
+@njit
+def _try_to_insert(edges: Any, next_edge: int, limits: tuple[int, int], until: int, state: Any) -> int:
+    """Insert one count before `until` where that is allowed, and advance; give the inserted count: 1, 0 or -1."""
+    separation, interval = limits
+    delta = _sign(state[GOAL] - state[INSERTED])
+    if delta == 0:
+        state[AT] = until
+        return 0
+    earliest = state[LAST_INSERTION] + interval
+    if earliest > state[AT]:
+        state[AT] = min(earliest, until)
+        return 0
+    place, swallows = _place(edges, next_edge, separation, delta, state)
+    if place < 0:
+        state[AT] = min(edges[0][next_edge] + 1, until)
+        return 0
+    if place >= until:
+        state[AT] = until
+        return 0
+    state[INSERTED] += delta
+    state[LAST_INSERTION] = place
+    if not swallows:
+        state[LAST_INSERTED_EDGE] = place
+    state[AT] = place + 1
+    return delta
+
+
+@njit
+def schedule(edges: Any, targets: Any, limits: tuple[int, int, int], state: Any, out: Any) -> int:
+    """Decide all samples up to `state[END]`.
+
+    Args:
+        edges: (sample, delta) of every known raw transition from `state[AT]` on; delta 0: illegal.
+        targets: (sample, absolute inserted counts from that sample on), ascending.
+        limits: minimum edge separation, minimum insertion interval (samples), 1 for whole cycles or 0.
+        state: integers as named at the top of this file; changed in place.
+        out: (sample, delta) arrays to fill, with room for one element an interval.
+
+    Returns:
+        Number of filled elements of `out`.
+    """
+    next_edge, next_target, made = 0, 0, 0
+    while state[AT] < state[END]:
+        next_target = _take_targets(targets, next_target, state)
+        next_edge = _pass_edges(edges, next_edge, state)
+        _choose_goal(limits[2], state)
+        until = state[END]
+        if next_target < len(targets[0]):
+            until = min(until, targets[0][next_target])
+        delta = _try_to_insert(edges, next_edge, (limits[0], limits[1]), until, state)
+        if delta != 0:
+            out[0][made] = state[LAST_INSERTION]
+            out[1][made] = delta
+            made += 1
+    return made
+
+
+def new_state(inserted_counts: int) -> Ints:
+    """State before the first sample, which has no predecessor, so no count can be inserted at it."""
+    state = np.zeros(STATE_SIZE, np.int64)
+    state[[AT, INSERTED, GOAL, TARGET]] = 1, inserted_counts, inserted_counts, inserted_counts
+    state[[LAST_INSERTION, LAST_INSERTED_EDGE, LAST_RAW]] = -FAR
+    return state
+
+
+def add_inserted(phase: Bytes, inserted_before: int, place: Ints, delta: Deltas) -> Bytes:
+    """Add inserted counts to a track of phases, each from its place on; the result is valid modulo four."""
+    start = np.uint8(inserted_before & 3)
+    if len(place) == 0:
+        return phase + start
+    step = np.zeros(len(phase), np.uint8)
+    step[place] = delta.astype(np.uint8)
+    return phase + np.cumsum(step, dtype=np.uint8) + start
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +245,7 @@ class PulseInserter:
         if settings.mode == "cycle" and inserted_counts % 4:
             raise ConfigError(f"insertion: inserted_counts = {inserted_counts}; cycle mode needs a multiple of 4")
         self.settings = settings
-        self._state = kernel.new_state(inserted_counts)
+        self._state = new_state(inserted_counts)
         self._raw_counts = raw_counts
         self._corrected_counts = raw_counts + inserted_counts
         self._illegal = 0
@@ -117,7 +265,7 @@ class PulseInserter:
     @property
     def inserted_counts(self) -> int:
         """Counts inserted so far."""
-        return int(self._state[kernel.INSERTED])
+        return int(self._state[INSERTED])
 
     @property
     def corrected_counts(self) -> int:
@@ -135,7 +283,7 @@ class PulseInserter:
 
         In cycle mode only whole cycles count; a target within two counts of a whole cycle counts as reached.
         """
-        goal, target = int(self._state[kernel.GOAL]), int(self._state[kernel.TARGET])
+        goal, target = int(self._state[GOAL]), int(self._state[TARGET])
         if self.settings.mode == "cycle":
             further = target - goal
             goal += (4 if further > 0 else -4) * ((abs(further) + 1) // 4)
@@ -177,7 +325,7 @@ class PulseInserter:
         self._samples_in += len(a)
         before = self.inserted_counts
         at, delta = self._schedule()
-        out_a, out_b = lines_of(kernel.add_inserted(phase, before, at - first, delta))
+        out_a, out_b = lines_of(add_inserted(phase, before, at - first, delta))
         self._account(out_a, out_b)
         return Corrected(out_a, out_b, z, first, at, delta)
 
@@ -211,15 +359,15 @@ class PulseInserter:
         """Decide all samples that the look-ahead covers; drop targets and edges before them."""
         separation, interval = self.settings.min_edge_separation_samples, self.settings.min_insertion_interval_samples
         limits = (separation, interval, int(self.settings.mode == "cycle"))
-        self._state[kernel.END] = end = self._first_sample()
-        room = max(0, int(end - self._state[kernel.AT])) // interval + 1
+        self._state[END] = end = self._first_sample()
+        room = max(0, int(end - self._state[AT])) // interval + 1
         out = (np.empty(room, np.int64), np.empty(room, np.int8))
-        ran = bool(end > self._state[kernel.AT])
-        made = kernel.schedule(self._edges, self._targets, limits, self._state, out)
+        ran = bool(end > self._state[AT])
+        made = schedule(self._edges, self._targets, limits, self._state, out)
         past = int(np.searchsorted(self._edges[0], end))
         self._raw_counts += int(self._edges[1][:past].sum(dtype=np.int64))
         if past:
-            self._state[kernel.LAST_RAW] = self._edges[0][past - 1]
+            self._state[LAST_RAW] = self._edges[0][past - 1]
         self._edges = (self._edges[0][past:], self._edges[1][past:])
         due = int(np.searchsorted(self._targets[0], end)) if ran else 0
         self._targets = (self._targets[0][due:], self._targets[1][due:])

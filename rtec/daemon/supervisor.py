@@ -15,20 +15,18 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from rtec.daemon.disk import MOST_SECONDS, DiskThread
+from rtec.daemon.disk import MOST_SECONDS, DiskThread, Keeper, log_folder, new_log
 from rtec.daemon.fastpath import LoopTask, fast_path
 from rtec.daemon.process import Notifier, child_context, signals, signals_wait
 from rtec.daemon.reload import ReloadDesk
 from rtec.daemon.ring import Ring
-from rtec.daemon.run_log import Keeper, log_folder, new_log
 from rtec.daemon.sign_check import StepOrders
 from rtec.daemon.status import MODE_NAMES, Alarms, Report, RowWatch, Status
 from rtec.daemon.supervision import DaemonParts
 from rtec.daemon.tables import TableKeeper, TableThread
 from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
-from rtec.log.events import Event, Events, events_path
-from rtec.log.recording import Begin, Recording
+from rtec.log.recording import Begin, Event, Events, Recording, events_path
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import RealClock, wall_clock_iso
 from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused

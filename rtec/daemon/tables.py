@@ -18,9 +18,9 @@ from rtec.correction.tables.table import CompensationTable, Floats, TableAxes, t
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonPart, KeptThread
 from rtec.errors import ConfigError, RtecError
+from rtec.files import write_text
 from rtec.loop.run_file import Setup, TableRewrites
 from rtec.model import Model
-from rtec.wholefile import write_text
 
 LOOK_S: Final = 1.0
 LEAST_S: Final = 10.0

@@ -18,8 +18,7 @@ from rtec.loop.step import Step, StepSettings
 from rtec.machine import Machine
 from rtec.model import Model
 from rtec.sim.controller import COMMAND, MOTOR, READING, SLIDE
-from rtec.sim.machine import SimulatedMachine
-from rtec.sim.recording import MotionRecording, recording_of
+from rtec.sim.machine import MotionRecording, SimulatedMachine, recording_of
 from rtec.sim.truth import Truth
 
 Progress = Callable[[int, int], None]

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from rtec.demo import figures
-from rtec.demo.day import CYLINDER, FACE, OTHER, Floats
+from rtec.demo.day import CYLINDER, FACE, OTHER, Floats, line
 from rtec.demo.live import RATE_HZ
 from rtec.demo.residual_sources import WHY
 from rtec.demo.second_story import later_sections
-from rtec.demo.sizes import line
 from rtec.demo.story import FINER, Story
 from rtec.report.page import Figure, Page, Section, Table, write_page
 from rtec.version import __version__

@@ -22,9 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtec.demo.day import CYLINDER, FACE, NS, SHOULDER, Floats, Ints, Track
+from rtec.demo.day import CYLINDER, FACE, NS, SHOULDER, SMOOTH_MM, Floats, Ints, Track
 from rtec.demo.live import LoopSide, step_settings
-from rtec.demo.sizes import SMOOTH_MM
 from rtec.effects.reversal import Backlash
 from rtec.loop.records import Samples
 from rtec.loop.step import Step

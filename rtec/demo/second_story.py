@@ -25,8 +25,8 @@ from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.words import UNITS, sentence
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.report.additions import added_page
 from rtec.report.diagnosis import diagnosis_page
+from rtec.report.history import added_page
 from rtec.report.page import Figure, Section, Table
 from rtec.sim.truth import Truth, load_truth
 

@@ -1,26 +1,80 @@
 """The whole demo: measures one day, fits, simulates another day without and with the correction, and evaluates it."""
 
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
 from rtec.commission.example import SHIPPED
 from rtec.demo import training
-from rtec.demo.background import Beside
-from rtec.demo.day import Plan, Track
+from rtec.demo.day import NIST_SIZE, NIST_STRAIGHT, Plan, Sizes, Track, sizes_of
 from rtec.demo.hidden import draw
 from rtec.demo.live import RATE_HZ, LoopSide, corrected, uncorrected
 from rtec.demo.residual_sources import WHY, ResidualSources, residual_sources
 from rtec.demo.second_story import Later, tell_later
-from rtec.demo.sizes import NIST_SIZE, NIST_STRAIGHT, Sizes, sizes_of
-from rtec.errors import ConfigError
+from rtec.errors import ConfigError, RtecError
 from rtec.machine import Machine, load_machine
 from rtec.model import Model
 from rtec.sim.truth import load_truth
+
+T = TypeVar("T")
+
+
+class Beside(Generic[T]):
+    """Calls a function in a process of its own.
+
+    Use as a context manager: leaving it ends the process, finished or not.
+
+    Args:
+        function: importable by name; its arguments and result are pickled.
+        arguments: arguments of the function.
+    """
+
+    def __init__(self, function: Callable[..., T], *arguments: Any) -> None:
+        context = get_context("spawn")
+        self._here, there = context.Pipe(duplex=False)
+        self._process = context.Process(target=_call, args=(there, function, arguments), daemon=True)
+        self._process.start()
+        there.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._process.terminate()
+        self._process.join()
+        self._here.close()
+
+    def result(self) -> T:
+        """Wait for the function's result.
+
+        Raises:
+            RtecError: the function raised it, or the process died.
+        """
+        try:
+            done, value = self._here.recv()
+        except EOFError as e:
+            raise RtecError("the second process of the demo ended without a result; is there enough memory?") from e
+        if not done:
+            raise RtecError(str(value))
+        return value  # type: ignore[no-any-return]
+
+
+def _call(pipe: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the parent ends this process
+    try:
+        pipe.send((True, function(*arguments)))
+    except RtecError as e:
+        pipe.send((False, str(e)))
+    finally:
+        pipe.close()
+
 
 Stage = Callable[[str, int, int], None]
 """Progress callback: called with the name of a stage, the number of steps done, and their total."""

@@ -13,10 +13,20 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from rtec.doctor.advice import count_faults, reasons, serial_places, shared_ports, temperature_faults, unfit, ways
 from rtec.doctor.found import DeviceFault, DeviceFound, Examination, Patient, Value
 from rtec.doctor.ports import ROOT
-from rtec.doctor.readings import NS, Ability, DeviceReadings
+from rtec.doctor.readings import (
+    NS,
+    Ability,
+    DeviceReadings,
+    count_faults,
+    reasons,
+    serial_places,
+    shared_ports,
+    temperature_faults,
+    unfit,
+    ways,
+)
 from rtec.errors import DriverError, DriverTimeout, RtecError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import device_options, make_device

@@ -1,14 +1,35 @@
-"""Readings of one device so far: newest values, their ages, the rate of new ones, the share of failures."""
+"""Readings of one device that is read for a while: values, ages, rates, failures; faults, and ways to mend them.
 
-from collections.abc import Callable, Mapping
+The driver raises its own errors; this module adds the faults that only the readings show (too slow, too old, constant).
+The ways to mend them are the same for every driver on the same kind of line. So they follow from the options that such
+drivers share (`port`, `usb_serial`, `baud`, `host`, `interface`, `channel`) and from this computer's data on its
+ports.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from rtec.correction.sinks import PulseSink
-from rtec.doctor.found import Patient, Value
-from rtec.errors import DriverError
+from rtec.doctor.found import DeviceFault, DeviceFound, Patient, Value
+from rtec.doctor.ports import (
+    ROOT,
+    can_interfaces,
+    can_state,
+    group_of,
+    holders,
+    latency_ms,
+    sees_all_processes,
+    serial_ports,
+)
+from rtec.errors import DriverError, DriverFault
 from rtec.loop.clock import Clock
+from rtec.loop.driver_info import CAN_BE
 
 NS = 1e-9
 NOTHING_YET = -(2**62)
@@ -193,3 +214,234 @@ class DeviceReadings:
 
     def _spindle_values(self) -> list[Value]:
         return [Value("spindle", self._rpm, "1/min", 0)] if np.isfinite(self._rpm) else []
+
+
+LINE_KEYS = ("baud", "bytesize", "parity", "stopbits")
+SILENT_WORDS = ("no answer", "not answer", "silent", "no connection", "no reading", "no such port", "no port")
+NUISANCE = {
+    "rtec": "that is `rtec run`: `rtec status` shows its devices; to look at them here stop it first",
+    "ModemManager": "it tries every new serial port: sudo systemctl disable --now ModemManager",
+    "brltty": "it takes some USB adapters for Braille displays: sudo apt remove brltty",
+}
+
+
+@dataclass(frozen=True)
+class SerialPlace:
+    """A serial port in a device's options.
+
+    Attributes:
+        port: device file, or "" where only the adapter's number is given.
+        usb_serial: number of the adapter, or "".
+        settings: settings of the line, as in the run file.
+    """
+
+    port: str
+    usb_serial: str
+    settings: str
+
+    def device(self, root: Path = ROOT) -> str:
+        """Present path of the device file; "" where there is none."""
+        if self.usb_serial:
+            return next((p.device for p in serial_ports(root) if p.serial == self.usb_serial), "")
+        return self.port
+
+
+def ways(options: BaseModel | None, error: Exception, heard: bool, root: Path = ROOT) -> tuple[str, ...]:
+    """Ways to mend an error of a device.
+
+    Args:
+        options: its options in the run file; None where they could not be read.
+        error: error that its driver raised.
+        heard: has it given any reading? Then its line works.
+        root: folder of this computer's files.
+    """
+    if options is None:
+        return ()
+    out: list[str] = []
+    for place in serial_places(options):
+        out += _serial_ways(place, error, heard, root)
+    for table in _tables(options):
+        out += _can_ways(table, root) + ([] if heard else _network_ways(table, error))
+    return tuple(dict.fromkeys(out))
+
+
+def serial_places(options: BaseModel) -> list[SerialPlace]:
+    """Every serial port that the options name."""
+    out = []
+    for table in _tables(options):
+        port, number = _text(table, "port"), _text(table, "usb_serial")
+        if _text(table, "interface") == "slcan":
+            port = _text(table, "channel").partition("@")[0]
+        if number or port.startswith("/"):
+            settings = ", ".join(f"{k} {getattr(table, k)}" for k in LINE_KEYS if hasattr(table, k))
+            out.append(SerialPlace(port, number, settings))
+    return out
+
+
+def shared_ports(options: BaseModel, root: Path = ROOT) -> list[str]:
+    """Warnings on open ports: other programs that read them, adapters that hold bytes back."""
+    out = []
+    for place in serial_places(options):
+        device = place.device(root)
+        out += [f"{device} is open in process {h.pid} ({h.name}) too: each gets a part of the bytes"
+                for h in holders(device, root)]  # fmt: skip
+        late_ms = latency_ms(device, root) if device else None
+        if late_ms is not None and late_ms > 1:
+            name = Path(os.path.realpath(device)).name
+            out.append(
+                f"the USB adapter keeps bytes back for {late_ms} ms: "
+                f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{name}/latency_timer"
+            )
+    return out
+
+
+def _serial_ways(place: SerialPlace, error: Exception, heard: bool, root: Path) -> list[str]:
+    device = place.device(root)
+    if not device or not os.path.lexists(device) or not Path(device).exists():
+        return _missing(place, root)
+    if not os.access(device, os.R_OK | os.W_OK):
+        return [_no_access(device)]
+    busy = "in use" in str(error)
+    if heard or not (busy or _silent(error)):
+        return []
+    out = [f"process {h.pid} ({h.name}) has {device} open: {_end(h.name, h.pid)}" for h in holders(device, root)]
+    if busy:
+        hidden = not out and not sees_all_processes()
+        return [f"sudo fuser -v {device} tells which program has it open"] if hidden else out
+    out.append("is the device switched on, and its cable in (A and B, RX and TX not swapped)?")
+    if place.settings:
+        out.append(f"the line is set to {place.settings} here: the device must be, too")
+    return out
+
+
+def _silent(error: Exception) -> bool:
+    """Does nothing arrive? A driver of several devices may report that as a fault of some."""
+    return not isinstance(error, DriverFault) or any(word in str(error) for word in SILENT_WORDS)
+
+
+def _missing(place: SerialPlace, root: Path) -> list[str]:
+    ports = serial_ports(root)
+    if not ports:
+        return ["this computer has no serial port now: plug the adapter in; `sudo dmesg | tail` shows what it becomes"]
+    out = [f"serial ports here: {'; '.join(p.words() for p in ports)}"]
+    known = [p for p in ports if p.serial]
+    if known and not place.usb_serial:
+        out.append(f'found whatever its name is today: usb_serial = "{known[0].serial}" instead of port')
+    return out
+
+
+def _no_access(device: str) -> str:
+    group = group_of(device)
+    if not group:
+        return f'no group may open {device}: a udev rule must give it one (GROUP="dialout", MODE="0660")'
+    return f"members of group {group!r} may open {device}: sudo usermod -aG {group} $USER, then log in again"
+
+
+def _end(name: str, pid: int) -> str:
+    return NUISANCE.get(name, f"end it (kill {pid})")
+
+
+def _can_ways(table: BaseModel, root: Path) -> list[str]:
+    channel = _text(table, "channel")
+    if _text(table, "interface") != "socketcan" or not channel:
+        return []
+    state = can_state(channel, root)
+    rate = getattr(table, "bitrate", None) or 500_000
+    if not state:
+        there = ", ".join(can_interfaces(root)) or "none: is the adapter plugged in, and its kernel module loaded?"
+        return [f"no interface {channel}; CAN interfaces here: {there}"]
+    if state == "down":
+        return [f"{channel} is down: sudo ip link set {channel} up type can bitrate {rate} restart-ms 100"]
+    return [f"{channel} is up; ip -details -statistics link show {channel} tells its bit rate and errors"]
+
+
+def _network_ways(table: BaseModel, error: Exception) -> list[str]:
+    host = _text(table, "host")
+    if not host or not _silent(error):
+        return []
+    if isinstance(error.__cause__, ConnectionRefusedError):
+        return [f"{host} is there, but nothing listens on port {getattr(table, 'port', '?')}: is that the right port?"]
+    return [f"does `ping {host}` answer? If not: power, network cable, address of the device"]
+
+
+def _tables(options: BaseModel) -> Iterator[BaseModel]:
+    """The options and every table within them."""
+    yield options
+    for value in dict(options).values():
+        within: list[Any] = list(value.values()) if isinstance(value, dict) else [value]
+        for item in within:
+            if isinstance(item, BaseModel):
+                yield from _tables(item)
+
+
+def _text(table: BaseModel, key: str) -> str:
+    value = getattr(table, key, None)
+    return value if isinstance(value, str) else ""
+
+
+FEW = 20
+"""Fewer readings are no basis for a judgement; the first ones may be slow."""
+ROOM = 1.5
+"""A cycle should be longer than the reading by this factor: the rest of the cycle needs time, too."""
+
+
+def unfit(patient: Patient, found: DeviceFound, device: Any) -> list[DeviceFault]:
+    """Roles that its driver cannot serve, and outputs that it refuses."""
+    can = {role: isinstance(device, port) for role, port in CAN_BE.items()}
+    is_ = ", ".join(role for role, so in can.items() if so)
+    out = [
+        DeviceFault(f"[role] {role} names it, but driver {found.driver!r} cannot do this", (f"it can be: {is_}",))
+        for role in found.roles
+        if not can[role]
+    ]
+    if "actuator" in found.roles and can["actuator"]:
+        for axis in (a for a in patient.machine.axes if a.compensate):
+            why = device.refuses(patient.file.output.get(axis.name, PulseSink()))
+            out += [DeviceFault(f"[output.{axis.name}] {why}")] if why else []
+    return out
+
+
+def reasons(patient: Patient, device: Any, ability: Ability, error: DriverError) -> list[str]:
+    """One text a cause: from the driver's list of faults, if it has one; sensors with the same fault share a text."""
+    listed = getattr(device, "faults", None)
+    if ability.does != "temperatures" or not callable(listed):
+        return [str(error)]
+    sensors: dict[str, list[str]] = {}
+    for fault in listed():
+        name, _, why = fault.partition(": ")
+        known = name in patient.machine.sensor_names
+        sensors.setdefault(why if known else fault, []).extend([name] if known else [])
+    return [f"{', '.join(names)}: {why}" if names else why for why, names in sensors.items()] or [str(error)]
+
+
+def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -> tuple[list[DeviceFault], list[str]]:
+    """Counts that are too slow or too late for the loop; and remarks."""
+    took = ability.took_ms()
+    if took is None or len(readings.counts_age_s) < FEW:
+        return [], []
+    cycle_ms, faults = 1e3 / patient.file.run.rate_hz, []
+    text = f"reading counts takes {took[0]:.2f} ms, at most {took[1]:.2f} ms, of a cycle of {cycle_ms:g} ms"
+    if took[0] > cycle_ms:
+        faults.append(
+            DeviceFault(text, (f"a lower [run] rate_hz, {1e3 / took[0] / ROOM:.0f} or less, or a faster line",))
+        )
+    age_s, allowed_s = float(np.median(readings.counts_age_s)), patient.file.guard.counts_max_age_s
+    if age_s > allowed_s:
+        what = f"counts are {age_s * 1e3:.1f} ms old when they are read; the correction would hold"
+        faults.append(DeviceFault(what, (f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?",)))
+    return faults, [] if took[0] > cycle_ms else [text]
+
+
+def temperature_faults(patient: Patient, readings: DeviceReadings, now_ns: int) -> list[DeviceFault]:
+    """Temperatures that are not possible on the machine, or too old for the loop."""
+    ranges = {s.name: s.range_degc for s in patient.machine.sensors}
+    allowed_s, out = patient.file.guard.temperature_max_age_s, []
+    for value in readings.sensor_values(now_ns):
+        low, high = ranges[value.name]
+        if not low <= value.value <= high:
+            what = f"{value.name}: {value.value:.1f} °C; the machine file's range_degc is {low:g} to {high:g} °C"
+            out.append(DeviceFault(what, ("look at the sensor, its type and its wires; is it the right sensor?",)))
+        if value.age_s is not None and value.age_s > allowed_s:
+            what = f"{value.name}: {value.age_s:.0f} s old; the correction would hold"
+            out.append(DeviceFault(what, (f"[guard] temperature_max_age_s is {allowed_s:g} s: is that meant?",)))
+    return out

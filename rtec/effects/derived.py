@@ -185,18 +185,3 @@ def since_turn_track(position: NDArray[np.float64], direction: NDArray[np.float6
             extreme = max(extreme, position[i]) if sense > 0.0 else min(extreme, position[i])
         out[i] = since_reversal(extreme, turn)
     return out
-
-
-@njit
-def motion_track(
-    position: NDArray[np.float64], time_s: NDArray[np.float64], tau_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Velocity mm/s and acceleration mm/s² at each of n positions, (n,) each: what the loop makes of its counts."""
-    velocity, acceleration = np.zeros(len(position)), np.zeros(len(position))
-    v, a, last = 0.0, 0.0, 0
-    for i in range(len(position)):
-        if time_s[i] > time_s[last]:
-            v, a = motion_update(v, a, position[i] - position[last], time_s[i] - time_s[last], tau_s)
-            last = i
-        velocity[i], acceleration[i] = v, a
-    return velocity, acceleration

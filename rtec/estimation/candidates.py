@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
-from rtec.effects.registry import all_effects
-from rtec.effects.trial import SKIPPED, instances, lacking
+from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import VisibleComponent, visible_components, within_record

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Final
 
 from rtec.errors import LogError
-from rtec.log.events import events_path
 from rtec.log.folder import WRITTEN, being_written, log_files, look_at, place_of
 from rtec.log.packed import PACKED, pack
 from rtec.log.reader import open_log
+from rtec.log.recording import events_path
 
 NICE: Final = 19
 MOST_REPORTED: Final = 20

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rtec.correction import guard, ledger
+from rtec.correction import guard
 from rtec.correction.flags import GuardSettings, Limits
 from rtec.correction.sinks import DEAD_BAND, PulseSink, SinkScale
 from rtec.effects import derived
@@ -93,7 +93,7 @@ class Step:
         values = model.parameter_values()
         kernel = write_kernel(model)
         self.source: StepSource = write_step(machine, kernel, len(values))
-        self._step: Callable[..., None] = build_module(self.source.text, [derived, elementary, guard, ledger]).step
+        self._step: Callable[..., None] = build_module(self.source.text, [derived, elementary, guard]).step
         self._numbers = numbers_of(settings, self.source, values)
         self._times = times_of(settings, self.source)
         self.state = self.fresh_state()

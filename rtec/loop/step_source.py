@@ -19,7 +19,7 @@ from rtec.correction.guard import (
     cycle_s, decide, judge_age, judge_counts, judge_mode, judge_range, judge_request, judge_sensor, judge_spindle,
     known, may_command, move, within_sink,
 )
-from rtec.correction.ledger import ledger_update
+from rtec.correction.guard import ledger_update
 from rtec.effects.derived import direction_update, lag_update, motion_update, reversal_update, since_reversal
 from rtec.model.kernel.build import sin_cos
 

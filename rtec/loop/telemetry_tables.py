@@ -72,7 +72,17 @@ class MqttTable(Strict):
         return self
 
 
-class MtconnectTable(Strict):
+class _Listening(Strict):
+    listen: str
+
+    @model_validator(mode="after")
+    def _place(self) -> Self:
+        if not is_place(self.listen):
+            raise ValueError(f'listen: {self.listen!r} is not "host:port"')
+        return self
+
+
+class MtconnectTable(_Listening):
     """`[telemetry.mtconnect]`: the address at which an MTConnect agent connects to the adapter.
 
     Attributes:
@@ -83,14 +93,8 @@ class MtconnectTable(Strict):
     listen: str = "127.0.0.1:7878"
     period_s: Annotated[float, Field(ge=0.01, le=3600)] = 0.1
 
-    @model_validator(mode="after")
-    def _place(self) -> Self:
-        if not is_place(self.listen):
-            raise ValueError(f'listen: {self.listen!r} is not "host:port"')
-        return self
 
-
-class OpcuaTable(Strict):
+class OpcuaTable(_Listening):
     """`[telemetry.opcua]`: a read-only OPC UA server; it accepts SignAndEncrypt only.
 
     Attributes:
@@ -106,12 +110,6 @@ class OpcuaTable(Strict):
     certificate_file: Path
     key_file: Path
     trusted_folder: Path
-
-    @model_validator(mode="after")
-    def _place(self) -> Self:
-        if not is_place(self.listen):
-            raise ValueError(f'listen: {self.listen!r} is not "host:port"')
-        return self
 
 
 class TelemetryTable(Strict):

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.frames import Kind, frame
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
-from rtec.result import Shown
+from rtec.result import Kind, Shown, frame
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -36,7 +35,7 @@ class Measurement(Shown):
         notes: notes of the reader on the file, in words.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.measurement:measurement_page"
+    page_maker: ClassVar[str] = "rtec.report.overview:measurement_page"
 
     name: str
     instrument: Instrument

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtec.effects import State
 from rtec.errors import ModelError
-from rtec.frames import columns_of, is_frame
 from rtec.machine import Axis, Machine
+from rtec.result import columns_of, is_frame
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]

@@ -11,11 +11,11 @@ from pydantic import Field
 
 from rtec.effects import effect_class
 from rtec.errors import ModelError
+from rtec.files import whole
 from rtec.machine import Machine
 from rtec.model.model import FittedEffect, Model
 from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, DegreesCelsius, MicrometresNotNegative
 from rtec.tomlfile import Strict, read_toml, validated
-from rtec.wholefile import whole
 
 FORMAT = 1
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.derived import FAR_MM
-from rtec.effects.trial import check_effect
+from rtec.effects.registry import check_effect
 from rtec.errors import ModelError
 from rtec.machine import Axis, Machine
 from rtec.machine.machine import CONSTANT_CHANNELS

@@ -13,13 +13,12 @@ from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import Edges, counts_at, decode_edges, pack
 from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError, LogError
-from rtec.limits import most_bytes
+from rtec.files import most_bytes, write_text
 from rtec.loop.records import MODES_BY_NAME, Layout, Samples
 from rtec.loop.run_file import CaptureAxis, CaptureTable, Setup
 from rtec.loop.step import Step
 from rtec.machine import Axis
 from rtec.playback import sigrok
-from rtec.wholefile import write_text
 
 MOST_CYCLES: Final = 4_000_000
 EXPANSION: Final = 48

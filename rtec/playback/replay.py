@@ -1,29 +1,31 @@
-"""Replay: a log, or every log of a folder, through the same step as in the run, without waiting.
+"""Replay: a log, or every log of a folder, through the same step as in the run, without waiting; and its result.
 
 Each log is replayed from its own beginning; memory does not grow with its length. For a log of an older version that
 lacks an entry, that version's behaviour holds: a gap between two cycles then counted as at most ten cycles, now as one.
 """
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_TAKEN_OVER, ORDER_MASK
-from rtec.errors import LogError
+from rtec.errors import ConfigError, LogError
 from rtec.log.folder import log_files
 from rtec.log.format import Log
 from rtec.log.reader import open_log
 from rtec.log.writer import LogWriter
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.loop.run_file import Setup
+from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import state_from_text, structure_of
 from rtec.loop.step import Step
+from rtec.playback.capture import CaptureReport, replay_capture
+from rtec.result import Result
 
 MOST_DIFFERENCES = 20
 BLOCK_ROWS = 65_536
@@ -261,3 +263,56 @@ def _add(total: ReplayReport, one: ReplayReport, name: str) -> None:
     total.unchecked += one.unchecked
     total.torn_bytes += one.torn_bytes
     total.notes += [f"{name}: {note}" for note in one.notes]
+
+
+@dataclass(frozen=True)
+class Replayed(Result):
+    """Result of a replay.
+
+    Attributes:
+        report: report on the log, or on the capture.
+        checked: were the commands compared with the logged ones?
+    """
+
+    page_maker: ClassVar[str] = "rtec.report.playback:replay_page"
+
+    report: ReplayReport | CaptureReport
+    checked: bool
+
+    @property
+    def identical(self) -> bool:
+        """Was everything read, and is every compared command identical to the logged one?"""
+        return isinstance(self.report, CaptureReport) or not (self.report.different or self.report.unread)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        r = self.report
+        if isinstance(r, CaptureReport):
+            return asdict(r) | {"capture_out": str(r.capture_out), "table_out": str(r.table_out)}
+        return asdict(r) | {"out": str(r.out) if r.out else None, "checked": self.checked}
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """For a log the first differences, for a capture its axes."""
+        if isinstance(self.report, CaptureReport):
+            return [{"axis": name, **asdict(axis)} for name, axis in self.report.axes.items()]
+        return [asdict(d) for d in self.report.differences]
+
+
+def replayed(
+    config: Path, log: Path, out: Path | None, *, check: bool, progress: Callable[[str, int, int], None] | None = None
+) -> Replayed:
+    """Replay a log, a folder of logs (always checked) or a capture (`.sr`).
+
+    Raises:
+        ConfigError, LogError: the run file, the log or the capture cannot be used.
+    """
+    setup = load_setup(config, needs_devices=False)
+    tell = (lambda done, total: progress(log.name, done, total)) if progress else None
+    if log.suffix == ".sr":
+        if check:
+            raise ConfigError("--check compares with logged commands; a capture has none, leave it out")
+        target = out or log.with_name(f"{log.stem}.replay.sr")
+        return Replayed(replay_capture(setup, log, target, target.with_suffix(".csv"), tell), checked=False)
+    checked = check or log.is_dir()
+    target_log = out or (None if checked else log.with_name(f"{log.stem}.replay.arrows"))
+    return Replayed(replay_logs(setup, log, target_log, checked, tell), checked)

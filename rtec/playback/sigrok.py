@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
-from rtec.wholefile import whole
+from rtec.files import whole
 
 MAX_LOGIC_BYTES = 1 << 30
 """Default limit of the unpacked samples for `read`, bytes."""

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from rtec.diagnosis.words import spoken
 from rtec.effects import Effect, State, all_effects
 from rtec.effects.base import Surroundings
-from rtec.effects.trial import instances
+from rtec.effects.registry import instances
 from rtec.errors import ConfigError, ModelError
 from rtec.machine import Axis, Link, Machine, Sensor
 from rtec.report.figures import GREY, LINES, OFF, ON, as_png, stacked

@@ -91,13 +91,25 @@ def _wrapped_title(title: "Text") -> str:
     return fill(title.get_text(), max(MIN_LETTERS, int(room_pt / (LETTER * float(title.get_fontsize())))))
 
 
+@functools.cache
+def _shown_figure() -> "type[MplFigure]":
+    """The figure of matplotlib with a PNG for the cell of a notebook, which pyplot need not be imported for."""
+    from matplotlib.figure import Figure
+
+    class ShownFigure(Figure):
+        def _repr_png_(self) -> bytes:
+            out = BytesIO()
+            self.savefig(out, format="png", dpi=72)
+            return out.getvalue()
+
+    return ShownFigure
+
+
 def canvas(height_in: float) -> "MplFigure":
     """An empty figure as wide as all others."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from rtec.report.notebook import ShownFigure
-
-    figure = ShownFigure(figsize=(WIDTH_IN, height_in), layout="constrained", facecolor="white")
+    figure = _shown_figure()(figsize=(WIDTH_IN, height_in), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 

@@ -1,15 +1,22 @@
-"""Report of a characterisation: the residual, the coefficients, the choice of effects, the warnings."""
+"""Report of a characterisation: the residual, the coefficients, the choice of effects, the warnings; with figures."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
 from rtec.diagnosis.words import spoken
 from rtec.estimation.outliers import left_out
-from rtec.report.figures import Png
+from rtec.report.figures import LINES, OFF, ON, Png, as_png, stacked
 from rtec.report.page import Figure, Page, Section, Table, note_words, shell_command
 from rtec.version import __version__
 from rtec.wording import NONE, counted, decimals, number, significant, sizes, with_error
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
 
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 WORTH_TELLING = 0.3
@@ -137,13 +144,11 @@ def _search(r: Characterisation, figures: bool) -> list[Section]:
 
 
 def _search_figure(r: Characterisation) -> Png:
-    from rtec.report.fit_figures import falling
 
     return falling(np.array([100 * s.inside for s in r.steps]), np.array([100 * s.held_out for s in r.steps]))
 
 
 def _residual_figure(r: Characterisation) -> Figure:
-    from rtec.report.fit_figures import residuals
 
     panels = [(m.name, UNITS[m.unit], *r.residuals[m.name]) for m in r.measurements]
     return Figure("residuals.png", residuals(panels), "Residual of each reading over time")
@@ -163,3 +168,44 @@ def _correlations(r: Characterisation) -> list[Section]:
     return [
         Section("Correlations with temperatures", words, Table(head, rows, caption, words=(0, 1, 2)) if rows else None)
     ]
+
+
+Floats = NDArray[np.float64]
+
+
+@as_png
+def falling(inside: Floats, held_out: Floats) -> "MplFigure":
+    """Error against number of terms, in sample and held out, % of that without terms, on a logarithmic scale."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    figure, (ax,) = stacked(4.6)
+    terms = np.arange(len(inside))
+    ax.semilogy(terms, held_out, color=OFF, marker="s", linestyle="--", label="held out")
+    ax.semilogy(terms, inside, color=ON, marker="o", label="in sample")
+    ax.set_title("Error as terms were added")
+    ax.set_xlabel("number of terms")
+    ax.set_ylabel("error, % of that with no term")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.legend(frameon=False)
+    return figure
+
+
+@as_png
+def residuals(panels: Sequence[tuple[str, str, Floats, Floats]]) -> "MplFigure":
+    """Residuals of all readings, one panel a measurement.
+
+    Args:
+        panels: measurement, unit, hours (n,), residuals (readings, n).
+    """
+    figure, axes = stacked(*[3.0] * len(panels))
+    for ax, (name, unit, hours, values) in zip(axes, panels, strict=True):
+        for row, colour in zip(values, LINES, strict=False):
+            ax.plot(hours, row, linestyle="", marker=".", markersize=3, color=colour)
+        ax.axhline(0.0, color="black", linewidth=1)
+        ax.set_title(name)
+        ax.set_ylabel(f"residual, {unit}")
+    axes[-1].set_xlabel("time since the first reading, hours")
+    return figure

@@ -183,7 +183,7 @@ def _fault_row(fault: FaultFound) -> tuple[str, ...]:
     )
 
 
-def _checks(found: HilResult) -> Section:
+def _checks(found: HilResult | SoakResult) -> Section:
     rows = [("yes" if c.passed else "NO" if c.judged else "no", c.name, c.words) for c in found.checks]
     return Section("Checks", (), Table(("passed", "check", "result"), rows, words=(0, 1, 2)))
 
@@ -214,7 +214,7 @@ def soak_page(found: SoakResult) -> Page:
         f"{found.machine}: {significant(found.duration_s / 60.0)} minutes at {found.rate_hz:g} Hz behind real buses, "
         f"{times} faults (seed {found.seed}): {verdict}."
     )
-    sections = [_resources(found), _soak_timing(found), _soak_faults(found), _soak_checks(found)]
+    sections = [_resources(found), _soak_timing(found), _soak_faults(found), _checks(found)]
     if found.warnings:
         sections.append(Section("Messages of the system", found.warnings))
     numbers = [
@@ -260,8 +260,3 @@ def _soak_timing(found: SoakResult) -> Section:
 def _soak_faults(found: SoakResult) -> Section:
     rows = [(f.name, str(f.times), str(f.told), number(f.latest_s)) for f in found.faults]
     return Section("Faults", (), Table(("fault", "times", "reported", "at the latest after, s"), rows))
-
-
-def _soak_checks(found: SoakResult) -> Section:
-    rows = [("yes" if c.passed else "NO" if c.judged else "no", c.name, c.words) for c in found.checks]
-    return Section("Checks", (), Table(("passed", "check", "result"), rows, words=(0, 1, 2)))

@@ -1,13 +1,144 @@
-"""The history of a model: every change, the error before and after it, and the staircase of falling errors."""
+"""Reports of changes of a model, by `rtec add`, `rtec improve` and `rtec history`: the error before and after each."""
 
+import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from rtec.diagnosis.words import UNITS, spoken
+import numpy as np
+
+from rtec.diagnosis.extend.add import Added
+from rtec.diagnosis.extend.improve import Improved
+from rtec.diagnosis.words import UNITS, sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.wording import NONE, counted, decimals, number, percent, sizes, two_numbers, with_error
+from rtec.report.figures import OFF, ON, as_png, stacked
+from rtec.report.page import Figure, Page, Section, Table, shell_command
+from rtec.wording import NONE, counted, decimals, number, percent, significant, sizes, two_numbers, with_error
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
+
+WHY_ENDED = {
+    "nothing_missing": "no effect is missing that these readings could show",
+    "undecided": "these readings do not decide what is missing, see the last diagnosis",
+    "unknown_effect": "the effect that is missing is not in the catalogue",
+    "ambiguous": "the next effect cannot be determined from these data",
+    "stopped": "you stopped it",
+    "at_floor": "the residual is at the noise floor",
+    "no_gain": "the next effect would lower the error on held-out runs by less than 2 %",
+    "steps": "one call adds no more effects than these",
+}
+
+
+def added_page(a: Added, figures: bool = True) -> Page:
+    """The error before and after an addition.
+
+    Args:
+        a: the addition.
+        figures: whether to draw.
+    """
+    section = _before_and_after(a)
+    what = ", ".join(a.labels) or "refitted numbers"
+    before, after = two_numbers(a.before.held_out, a.after.held_out)
+    unit = UNITS[a.unit]
+    lead = (
+        f"With {what} the residual on held-out runs is {after} {unit}, before it was {before} {unit}; the noise floor "
+        f"is {sizes(a.floor)[0]} {unit}."
+    )
+    return Page(
+        "Before and after",
+        lead,
+        [],
+        [section, *history_sections(a.model, figures)],
+        brief=Section("", [], section.table),
+        next=[shell_command("rtec", "diagnose", *a.files)] if a.files else [],
+    )
+
+
+def _before_and_after(a: Added) -> Section:
+    unit = UNITS[a.unit]
+    fall = 1.0 - (a.after.held_out / a.before.held_out) ** 2 if a.before.held_out > 0 else 0.0
+    what = ", ".join(a.labels) or "refitted numbers"
+    errors = [
+        ("as given", a.before.as_given or math.nan, math.nan),
+        *([("refitted", a.before.inside, a.before.held_out)] if a.labels else []),
+        (f"with {what}", a.after.inside, a.after.held_out),
+        ("noise floor", a.floor, a.floor),
+    ]
+    digits = decimals(a.floor, a.after.held_out)
+    rows = [[name, number(inside, digits), number(held_out, digits)] for name, inside, held_out in errors]
+    table = Table(("model", f"fitted readings, {unit}", f"held-out runs, {unit}"), rows)
+    words = [
+        f"The mean square on held-out runs {'falls' if fall > 0 else 'rises'} by {percent(abs(fall))}.",
+        *(
+            [
+                "With temperatures smoothed both ways in time, which the loop cannot do, the residual would be "
+                f"{number(a.smoothed, digits)} {unit}."
+            ]
+            if any(set(f.effect.channels(a.model.machine)) & set(a.model.machine.sensor_names) for f in a.model.effects)
+            else []
+        ),
+        *map(sentence, a.notes),
+    ]
+    return Section("Before and after", words, table)
+
+
+def _refit_words(refit: Added) -> str:
+    """The error before and after a refit of the model's own numbers."""
+    before, after = two_numbers(refit.before.held_out, refit.after.held_out)
+    unit = UNITS[refit.unit]
+    return f"The model's own numbers were out of date; refitted, the residual fell from {before} to {after} {unit}. "
+
+
+def improved_page(r: Improved, figures: bool = True) -> Page:
+    """All steps of an improvement.
+
+    Args:
+        r: the improvement.
+        figures: whether to draw.
+    """
+    refit = _refit_words(r.refit) if r.refit else ""
+    if not r.steps:
+        lead = f"{refit}No effect was added: {_why_ended(r)}. {_last_verdict(r)}"
+    else:
+        first, last = r.steps[0], r.steps[-1]
+        unit = UNITS[last.unit]
+        before, after = two_numbers(first.before.held_out, last.after.held_out)
+        added = counted(sum(len(s.labels) for s in r.steps), "effect")
+        lead = (
+            f"{refit}{added} added: the residual on held-out runs fell from {before} to "
+            f"{after} {unit}; the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {_why_ended(r)}."
+        )
+    steps = [
+        Section(f"Step {i}: {', '.join(s.labels)}", _before_and_after(s).text, _before_and_after(s).table)
+        for i, s in enumerate(r.steps, 1)
+    ]
+    tail = [Section("Last diagnosis", [_last_verdict(r)])] if r.diagnoses else []
+    history = history_sections(r.model, figures)
+    return Page(
+        "The model improved",
+        lead,
+        [],
+        [*history, *steps, *tail],
+        brief=Section("", [], history[0].table if history else None),
+        next=[shell_command("rtec", "history", r.files[0], "--report", "out/history")] if r.files else [],
+    )
+
+
+def _why_ended(r: Improved) -> str:
+    """Why the improvement ended, in words."""
+    if r.reason == "no_gain" and r.cancelling:
+        return f"these readings determine only what {' and '.join(r.cancelling)} make together"
+    return WHY_ENDED[r.reason]
+
+
+def _last_verdict(r: Improved) -> str:
+    """The verdict of the last diagnosis; an effect that is too small is named as such."""
+    verdict = sentence(r.diagnoses[-1].sentence)
+    if r.reason != "no_gain":
+        return verdict
+    return f"{'Not' if r.cancelling else 'Too small to be'} added: {verdict}"
 
 
 def history_page(h: History, figures: bool = True) -> Page:
@@ -102,8 +233,74 @@ def stairs(steps: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[float], 
 
 
 def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
-    from rtec.report.history_figures import staircase
 
     unit = steps[-1]["unit"]
     png = staircase(UNITS.get(unit, unit), *stairs(steps))
     return Figure("history.png", png, "The residual on held-out runs after each change, and the noise floor.")
+
+
+LONG, MANY = 18, 5
+"""Largest number of letters of a name on one line; number of steps above which names are slanted for lack of room."""
+CROWD, WIDE = 9, 1000.0
+"""Number of steps above which names are upright; range above which sizes have digits of their own."""
+
+
+@as_png
+def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None) -> "MplFigure":
+    """The error on a logarithmic scale, change by change, down to the noise floor.
+
+    Args:
+        unit: unit of the error, for people.
+        names: names of the steps; the first is the initial model.
+        errors: root mean square residual on held-out runs after each step.
+        floor: noise floor; None where it is unknown.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    many, crowd = len(names) > MANY, len(names) > CROWD
+    figure, (ax,) = stacked(8.6 if crowd else 7.4 if many else 5.8)
+    known = [*errors, *([floor] if floor else [])]
+    range_ = max(known) / min(known)
+    digits = max(0, 1 - math.floor(math.log10(min(known))))
+    write = significant if crowd or range_ > WIDE else partial(number, digits=digits)
+    low, high = min(known) / 1.5, max(known) * 1.5 * range_**0.1
+    ax.set_yscale("log")
+    for place, value in enumerate(errors):
+        ax.fill_between([place, place + 1], low, value, color=ON, alpha=0.14, linewidth=0, zorder=1)
+        ax.plot([place, place + 1], [value, value], color=ON, linewidth=4.0, solid_capstyle="butt")
+        ax.annotate(write(value), (place + 0.5, value), (0, 6), textcoords="offset points", ha="center",
+                    va="bottom", fontsize=10 if crowd else 17, fontweight="bold", color=ON)  # fmt: skip
+        if place and value < errors[place - 1]:
+            ax.annotate("", (place, value), (place, errors[place - 1]), zorder=3,
+                        arrowprops={"arrowstyle": "-|>", "color": OFF, "linewidth": 1.5 if crowd else 3.0,
+                                    "mutation_scale": 9 if crowd else 22,
+                                    "shrinkA": 0, "shrinkB": 0})  # fmt: skip
+    if floor:
+        ax.axhline(floor, color="black", linestyle="--", linewidth=2.0)
+        ax.annotate(f"noise floor\n{write(floor)} {unit}", (1.0, floor), (8, 0), xycoords=ax.get_yaxis_transform(),
+                    textcoords="offset points", ha="left", va="center", fontsize=14, annotation_clip=False)  # fmt: skip
+    ax.set_ylim(low, high)
+    ax.set_xlim(0.0, len(names))
+    shown = [n.replace("(", "\n(", 1) for n in names] if crowd else names if many else [_broken(n) for n in names]
+    ax.set_xticks(np.arange(len(names)) + 0.5, shown, fontsize=9 if crowd else 13)
+    for label in ax.get_xticklabels() if crowd else []:
+        label.set(rotation=90, va="top")
+    for label in ax.get_xticklabels() if many and not crowd else []:
+        label.set(rotation=30, ha="right", rotation_mode="anchor")
+    ax.tick_params(axis="x", length=0)
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.grid(visible=False, axis="x")
+    ax.set_title("The error falls as the model learns")
+    ax.set_ylabel(f"residual on held-out runs, rms, {unit}")
+    return figure
+
+
+def _broken(name: str) -> str:
+    """A label with line breaks at the bracket and the commas; in long names at an underscore, too."""
+    head, mark, rest = name.partition("(")
+    if len(head) > LONG and "_" in head:
+        at = head.rindex("_") + 1
+        head = f"{head[:at]}\n{head[at:]}"
+    return f"{head}\n{mark}{rest}" if mark else name.replace(", ", ",\n", 1)

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 
 from rtec.playback.capture import CaptureReport
-from rtec.playback.replay import ReplayReport
-from rtec.playback.result import Replayed
+from rtec.playback.replay import Replayed, ReplayReport
 from rtec.report.page import Page, Section, Table
 from rtec.wording import counted, percent
 

@@ -86,10 +86,6 @@ class ThermalNetwork:
         turning = spindle.w_at_1000_rpm * (abs(rpm) / 1000.0) ** spindle.exponent
         return np.concatenate([[turning], speed_mm_s * self._drive_j_per_mm])
 
-    def matrices(self) -> tuple[Floats, Floats]:
-        """`A` and `B` of the system `dz/dt = A z + B q`, for other integrators."""
-        return self._matrix.copy(), self._heat.copy()
-
     def _normal(self, stream: int, number: int) -> float:
         return float(np.random.default_rng([self._seed, stream, number]).standard_normal())
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from rtec.errors import RtecError
+from rtec.files import whole
 from rtec.text import clean
 from rtec.tomlfile import read_toml
-from rtec.wholefile import whole
 
 if TYPE_CHECKING:
     from rtec.model import Model

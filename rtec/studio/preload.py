@@ -9,9 +9,9 @@ import rtec.characterise
 import rtec.diagnosis.compare.compare
 import rtec.diagnosis.extend.improve
 import rtec.metrology.files.load
-import rtec.report.additions
 import rtec.report.compare
 import rtec.report.diagnosis
+import rtec.report.history
 import rtec.sim.campaign.campaign
 from rtec.effects.derived import direction_track
 

@@ -10,8 +10,7 @@ from typing import Any, Final
 
 from rtec.errors import ConfigError
 from rtec.loop.telemetry_tables import MqttTable, host_and_port
-from rtec.telemetry.follower import Follower
-from rtec.telemetry.values import OF_AXIS, OF_MACHINE, OF_SENSOR, axes, conditions, instant, machine, sensors
+from rtec.telemetry.values import OF_AXIS, OF_MACHINE, OF_SENSOR, Follower, axes, conditions, instant, machine, sensors
 
 SCHEMA: Final = 1
 PATIENCE_S: Final = 10.0

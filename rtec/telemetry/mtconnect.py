@@ -21,8 +21,7 @@ from uuid import NAMESPACE_URL, uuid5
 from rtec.errors import RtecError
 from rtec.loop.clock import wall_clock_iso
 from rtec.loop.telemetry_tables import MtconnectTable, host_and_port
-from rtec.telemetry.follower import Follower
-from rtec.telemetry.values import StatusCondition, axes, conditions, instant, machine, sensors
+from rtec.telemetry.values import Follower, StatusCondition, axes, conditions, instant, machine, sensors
 
 HEARTBEAT_MS: Final = 10_000
 """Period, ms, that the agent is given: it asks at least this often. Each side gives up the other after twice that."""

@@ -11,8 +11,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.telemetry_tables import OpcuaTable, host_and_port
-from rtec.telemetry.follower import Follower
-from rtec.telemetry.values import OF_AXIS, OF_MACHINE, OF_SENSOR, Quantity, axes, conditions, instant, machine, sensors
+from rtec.telemetry.values import (
+    OF_AXIS,
+    OF_MACHINE,
+    OF_SENSOR,
+    Follower,
+    Quantity,
+    axes,
+    conditions,
+    instant,
+    machine,
+    sensors,
+)
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

@@ -23,7 +23,7 @@ from rtec.daemon.supervision import DaemonPart, DaemonParts, fault
 from rtec.errors import ConfigError
 from rtec.loop.clock import Clock
 from rtec.loop.telemetry_tables import TelemetryTable
-from rtec.telemetry.follower import Follower
+from rtec.telemetry.values import Follower
 from rtec.text import clean
 from rtec.tomlfile import Strict
 

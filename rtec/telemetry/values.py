@@ -1,11 +1,19 @@
-"""The published values of all protocols: quantities with units, and the reasons of the guard as conditions."""
+"""The published values of all protocols: quantities with units, and the reasons of the guard as conditions.
 
+They come from the newest status, by the local socket of the daemon that only reads the status.
+"""
+
+import asyncio
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, Final, Literal
 
+from rtec.control.messages import RequestError, read_answer, request
+from rtec.control.places import status_of_config
 from rtec.correction.flags import HOLD_REASONS, REASONS, Flag
+from rtec.errors import RtecError
 from rtec.loop.clock import wall_clock_ns
 from rtec.text import clean
 
@@ -127,3 +135,62 @@ def instant(report: Mapping[str, Any] | None = None) -> str:
     age_s = 0.0 if report is None else report["status_age_s"] or 0.0
     at = datetime.fromtimestamp(wall_clock_ns() * 1e-9 - age_s, UTC)
     return at.strftime("%Y-%m-%dT%H:%M:%S.") + f"{at.microsecond // 1000:03d}Z"
+
+
+LARGEST_STATUS: Final = 4 * 1024 * 1024
+SILENT_S: Final = 15.0
+"""A daemon that sends no status for this time, s, is lost; `status_hz` is at least 0.1."""
+AGAIN_S: Final = 0.5
+"""Wait, s, before the next attempt to reach a daemon that does not run."""
+
+
+class Follower:
+    """Keeps the newest status while `follow` runs.
+
+    Args:
+        config: run file of the daemon.
+        name: name of the protocol in the daemon's events.
+
+    Attributes:
+        report: newest status; None where no daemon answers.
+    """
+
+    def __init__(self, config: Path, name: str) -> None:
+        self._config, self._name = config, name
+        self.report: Mapping[str, Any] | None = None
+
+    @property
+    def live(self) -> Mapping[str, Any] | None:
+        """The newest status if its values are current; else None."""
+        return None if self.report is None or stands(self.report) else self.report
+
+    @property
+    def state(self) -> str:
+        """State in words: "running", "loop stands" or "no daemon"."""
+        return "no daemon" if self.report is None else "running" if self.live else "loop stands"
+
+    async def follow(self) -> None:
+        """Follow until cancelled, through restarts of the daemon."""
+        while True:
+            for path in status_of_config(self._config):
+                try:
+                    await self._read(path)
+                except (OSError, RequestError, RtecError, EOFError, TimeoutError, asyncio.LimitOverrunError):
+                    continue
+                finally:
+                    self.report = None
+            await asyncio.sleep(AGAIN_S)
+
+    async def _read(self, path: Path) -> None:
+        reader, writer = await asyncio.open_unix_connection(path, limit=LARGEST_STATUS)
+        try:
+            writer.write(request("as", 0, name=self._name, role="read") + b"\n" + request("watch", 1) + b"\n")
+            while True:
+                async with asyncio.timeout(SILENT_S):
+                    answer = read_answer(await reader.readuntil(b"\n"))
+                if "error" in answer or "refused" in answer:
+                    raise RtecError(str(answer))
+                if "status" in answer:
+                    self.report = answer
+        finally:
+            writer.close()

@@ -19,7 +19,7 @@ import pytest
 import rtec
 from rtec.cli.main import status
 from rtec.diagnosis.result import Finding
-from rtec.frames import Kind
+from rtec.result import Kind
 from tests.support.diagnosis_examples import write_laser, write_machine
 
 SCALE = "scale,component=EXX,axis=X,k=40"

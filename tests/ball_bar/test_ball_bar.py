@@ -14,8 +14,7 @@ from rtec.metrology.ball_bar.design import stacked_design
 from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.metrology.instruments.ball_bar import circle_channels, travelled_deg
 from rtec.sim.campaign.campaign import simulate, simulate_with_truth
-from rtec.sim.campaign.settings import QUIET, DayPhase, Settings
-from rtec.sim.campaign.settings import Path as Way
+from rtec.sim.campaign.settings import QUIET, DayPhase, DrivenPath, Settings
 from rtec.sim.campaign.truth import truth_of
 from tests.support.ball_bar_examples import ROWS, bar, gantry, recorded
 from tests.support.exact_chain import exact_tip_error_um
@@ -209,7 +208,7 @@ def test_a_recording_may_begin_with_the_arc(over: float, begins: float) -> None:
 
 def circles(step_deg: float = 1.0) -> Settings:
     return Settings(
-        noise=QUIET, path=Way(step_deg=step_deg), phase=(DayPhase(name="cold", cycles=1),),
+        noise=QUIET, path=DrivenPath(step_deg=step_deg), phase=(DayPhase(name="cold", cycles=1),),
         nuisance={"centre": 0.0, "height": 0.0},
     )  # fmt: skip
 

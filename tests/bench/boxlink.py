@@ -20,8 +20,7 @@ import numpy as np
 
 from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
-from rtec_drivers.box.driver import SerialBoxDriver
-from rtec_drivers.box.options import BoxOptions
+from rtec_drivers.box.driver import BoxOptions, SerialBoxDriver
 from tests.bench.table import Row
 from tests.support.gateware import line_times, missing, spi_times
 from tests.support.machines import turning_centre

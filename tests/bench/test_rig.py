@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.bench.rig import heat, noise
+from rtec.bench.rig import campaign, machine
 from rtec.bench.rig.campaign import line
 from rtec.bench.rig.machine import displaced, rotation
 from rtec.bench.sets import machine_of, measurements_of
@@ -34,25 +34,25 @@ def test_arms_are_those_of_the_program(component: str) -> None:
 
 def test_heat_is_conserved_where_none_flows() -> None:
     """Oracle: bodies that are as warm as the air stay so."""
-    time = np.arange(0.0, 3600.0, heat.STEP_S)
-    power = {name: np.zeros_like(time) for name in heat.BODIES}
-    body, screw = heat._integrate(time, np.full_like(time, 2.0), power, np.zeros_like(time))
+    time = np.arange(0.0, 3600.0, machine.STEP_S)
+    power = {name: np.zeros_like(time) for name in machine.BODIES}
+    body, screw = machine._integrate(time, np.full_like(time, 2.0), power, np.zeros_like(time))
     assert all(v == pytest.approx(2.0) for v in (*body.values(), screw))
 
 
 def test_an_even_screw_grows_as_steel_does() -> None:
     """Oracle: 11.5 µm per metre and kelvin."""
-    time = np.arange(0.0, 600.0, heat.STEP_S)
-    day = heat.Day(time, time * 0.0, {}, np.full((len(time), heat.ELEMENTS), 3.0))
+    time = np.arange(0.0, 600.0, machine.STEP_S)
+    day = machine.Day(time, time * 0.0, {}, np.full((len(time), machine.ELEMENTS), 3.0))
     place = np.array([0.0, 200.0, 600.0])
     assert day.growth(place, np.zeros(3)) == pytest.approx(11.5 * 3.0 * place * 1e-3)
 
 
-@pytest.mark.parametrize("form", noise.FORMS)
+@pytest.mark.parametrize("form", campaign.FORMS)
 def test_noise_has_a_white_part_of_its_size(form: str) -> None:
     """Oracle: 0.3 to 0.8 µm between neighbouring readings; a coarse display adds up to 1/√12 of its step."""
     plan = line(np.random.default_rng(3))
-    drawn = [noise.draw(np.random.default_rng(s), form, plan.time_s, plan.run).values for s in range(12)]
+    drawn = [campaign.draw_noise(np.random.default_rng(s), form, plan.time_s, plan.run).values for s in range(12)]
     rough = [1.4826 * float(np.median(np.abs(np.diff(d)))) / np.sqrt(2.0) for d in drawn]
     assert min(rough) > 0.2
     assert max(rough) < 1.1

@@ -13,7 +13,7 @@ import pytest
 
 from rtec.loop.clock import RealClock
 from rtec_drivers.box.driver import SerialBoxDriver
-from rtec_drivers.hil.daemon import run_on_buses
+from rtec_drivers.hil.bus_run import run_on_buses
 from rtec_drivers.hil.findings import checks_of
 from rtec_drivers.hil.wiring import read_wiring
 from tests.support import hil_rig

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from rtec_drivers.box.simulator import BoxSimulator, StillPlant, crc32, unstuff
+from rtec_drivers.box.simulator import BoxSimulator, crc32, unstuff
 from tests.support import gateware
+from tests.support.box_peer import StillPlant
 from tests.support.gateware import BOARD, GatewareBox, frame, line_times, missing, spi_times
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())

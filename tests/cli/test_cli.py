@@ -61,7 +61,7 @@ def test_who_asks_a_running_loop_does_not_wait_for_a_compiler(command: list[str]
     """
     code = (
         f"import sys, rtec.cli.main as m; m.status({[*command, str(tmp_path / 'run.toml')]}); "
-        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model', 'rtec.cli.fit') if h in sys.modules])"
+        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model', 'rtec.cli.model') if h in sys.modules])"
     )
     (tmp_path / "run.toml").write_text("")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -74,7 +74,7 @@ def test_processes_beside_the_loop_need_no_compiler() -> None:
     modules += ["rtec.telemetry.opcua", *(module for name, (module, _) in DRIVERS.items() if name != "sim")]
     code = (
         f"import sys, importlib; [importlib.import_module(m) for m in {modules}]; "
-        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model', 'rtec.cli.fit') if h in sys.modules])"
+        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model', 'rtec.cli.model') if h in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

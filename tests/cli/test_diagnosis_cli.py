@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rtec.cli import diagnose as commands
+from rtec.cli import model as commands
 from rtec.cli.main import status
 from rtec.diagnosis.extend import improve as improving
 from rtec.machine import load_machine

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 
 from rtec.cli.main import status
-from rtec.report.grid_figures import Piece, contour, usual_magnification
+from rtec.report.grid import Piece, contour, usual_magnification
 
 
 @pytest.fixture

@@ -26,17 +26,16 @@ from rich.text import Text
 
 from rtec import errors
 from rtec.cli.control import show
-from rtec.cli.main import status
+from rtec.cli.main import shielded, status
 from rtec.cli.run import show_report
 from rtec.cli.screen import Console
-from rtec.cli.shield import shielded
 from rtec.control.client import Outcome
 from rtec.control.desk import Desk
 from rtec.control.prometheus import metrics
 from rtec.daemon.process import Notifier
 from rtec.daemon.ring import Ring
 from rtec.daemon.status import Report, Status
-from rtec.log.events import Event, Events
+from rtec.log.recording import Event, Events
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Layout
 from rtec.loop.stats import LoopStats, Trouble

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from rtec.cli.main import status
-from rtec.commission.example import SHIPPED, write_example
-from rtec.commission.files import write_together
+from rtec.commission.example import SHIPPED, write_example, write_together
 from rtec.errors import ConfigError
 
 TEXTS = {Path("a/one.toml"): "one", Path("a/two.toml"): "two", Path("three.toml"): "three"}

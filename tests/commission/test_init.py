@@ -22,9 +22,9 @@ from rtec.loop.clock import RealClock
 from rtec.machine import load_machine
 from rtec.model import FittedEffect, Model, save_model
 from rtec.tomlfile import read_toml
-from rtec_drivers.ascii.scan import pattern, places_of
+from rtec_drivers.ascii.driver import pattern, places_of
+from rtec_drivers.modbus.driver import ModbusScanner
 from rtec_drivers.modbus.frame import ModbusRequest
-from rtec_drivers.modbus.scan import ModbusScanner
 from rtec_drivers.pty_peer import PtyPeer
 from tests.support.modbus_peer import FakeSlave, line
 from tests.support.offset_controller import OffsetController
@@ -285,7 +285,7 @@ def test_warming_each_sensor_finds_its_register(
 
     X is the number behind the letter Z here: it is what moves when X is asked for.
     """
-    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(1, 5))
+    monkeypatch.setattr("rtec_drivers.modbus.driver.NUMBERS", range(1, 5))
     warmth, readout = Warmth(), Readout()
     with PtyPeer(readout, RealClock(), tmp_path / "readout", 0.01), line({3: warmth.slave}) as bus:
         move: list[Line] = [
@@ -318,7 +318,7 @@ def test_ctrl_c_in_a_search_keeps_the_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Slave 3 is found, then Ctrl-C: its registers go into the file, and so do the answers from before."""
-    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(1, 5))
+    monkeypatch.setattr("rtec_drivers.modbus.driver.NUMBERS", range(1, 5))
     true_ask = ModbusScanner._ask
 
     def ask(self: ModbusScanner, request: ModbusRequest, timeout_ns: int) -> object:
@@ -353,7 +353,7 @@ def test_an_answers_file_has_the_line_scanned(
     devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Registers in order, in tenths of °C as 215 could be a room's; what was taken is printed."""
-    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(1, 3))
+    monkeypatch.setattr("rtec_drivers.modbus.driver.NUMBERS", range(1, 3))
     folder = tmp_path / "lathe"
     assert status(["init", str(folder), "--answers", str(scanning(tmp_path, devices)), "--no-check"]) == 0
     assert "T_spindle: slave 1, input register 0, now 21.50 °C" in capsys.readouterr().out
@@ -364,7 +364,7 @@ def test_an_answers_file_has_the_line_scanned(
 def test_a_line_that_does_not_say_which_is_which_is_listed(
     devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(2, 4))
+    monkeypatch.setattr("rtec_drivers.modbus.driver.NUMBERS", range(2, 4))
     folder = tmp_path / "lathe"
     assert status(["init", str(folder), "--answers", str(scanning(tmp_path, devices)), "--no-check"]) == 2
     assert "[device.thermocouples] scan: what is there does not say" in capsys.readouterr().err

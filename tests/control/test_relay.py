@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from rtec.control.client import Client, DaemonPlace, find
-from rtec.control.relay import relay
+from rtec.control.client import Client, DaemonPlace, find, relay
 from rtec.control.server import Control
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.clock import RealClock

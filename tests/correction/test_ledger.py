@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtec.correction.ledger import ledger_update
+from rtec.correction.guard import ledger_update
 from rtec.correction.sinks import DEAD_BAND, FollowingErrorSink, PhaseSink, PulseSink
 from rtec.machine import Axis
 

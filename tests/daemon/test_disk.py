@@ -16,9 +16,8 @@ import pytest
 from rtec.correction.flags import MODE_HOLD, MODE_ON
 from rtec.daemon.disk import DiskThread
 from rtec.errors import LogError
-from rtec.log.events import Event, Events
 from rtec.log.reader import LogReader
-from rtec.log.recording import RETRY_NS, Begin, Recording
+from rtec.log.recording import RETRY_NS, Begin, Event, Events, Recording
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples

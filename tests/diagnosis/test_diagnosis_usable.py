@@ -26,7 +26,7 @@ from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
 from rtec.model.history import rescaled, steps_of
-from rtec.report.additions import improved_page
+from rtec.report.history import improved_page
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
 
 SCALE = "scale,component=EXX,axis=X,k=12"

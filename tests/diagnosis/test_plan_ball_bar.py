@@ -19,8 +19,7 @@ from rtec.machine import Machine
 from rtec.metrology.ball_bar.circle import circles_of
 from rtec.metrology.ball_bar.design import design_of
 from rtec.metrology.measurement import Measurement
-from rtec.sim.campaign.settings import Path as Way
-from rtec.sim.campaign.settings import Settings
+from rtec.sim.campaign.settings import DrivenPath, Settings
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support.ball_bar_examples import bar, gantry
 from tests.support.machines import axis, turning_centre
@@ -39,7 +38,7 @@ def circle(test: tuple[float, float, str], machine: Machine | None = None, **set
     setup = {"height_uncertainty_mm": 0.0, **setup}  # [BB] takes heights as exact
     instrument = bar(machine or gantry(), height_mm=height, radius_mm=radius, direction=direction, **setup)
     name = f"{direction} {height:g} {setup.get('feed_mm_min', '')}".strip()
-    return dry(machine or gantry(), instrument, Settings(path=Way(step_deg=1.0)), name)
+    return dry(machine or gantry(), instrument, Settings(path=DrivenPath(step_deg=1.0)), name)
 
 
 def circles(*tests: tuple[float, float, str]) -> list[Measurement]:
@@ -235,7 +234,7 @@ def test_a_grid_separates_what_one_circle_does_not() -> None:
 
     m, one = gantry(), circles(ONE)
     grid = make_instrument("grid_encoder", {"plane": "XY", "origin_mm": [0.0, 0.0, 0.0]}, None, None, m, "test")
-    plate = dry(m, grid, Settings(path=Way(step_mm=4.0, feeds_mm_min=(500.0, 2000.0))), "plate")
+    plate = dry(m, grid, Settings(path=DrivenPath(step_mm=4.0, feeds_mm_min=(500.0, 2000.0))), "plate")
     asked = effects_of(m, EFFECTS[4], EFFECTS[7], EFFECTS[2])
     assert sets(separation([*centres(one), *asked], one)) == [{"squareness(EC0X)", "servo_lag(EXX, X)"}]
     assert separation(asked, [plate]).complete
@@ -298,6 +297,6 @@ def test_ball_bars_of_two_planes_are_planned_apart() -> None:
     from rtec.diagnosis.plan.answer import Question, answer
 
     m = gantry()
-    tests = [circle(ONE), dry(m, bar(m, plane="YZ"), Settings(path=Way(step_deg=1.0)), "yz")]
+    tests = [circle(ONE), dry(m, bar(m, plane="YZ"), Settings(path=DrivenPath(step_deg=1.0)), "yz")]
     with pytest.raises(ConfigError, match="plan each plane by itself"):
         answer(m, tests, Question(ball_bar="linear"))

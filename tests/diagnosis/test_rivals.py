@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtec.bench.rig import campaign
-from rtec.bench.rig.heat import day
+from rtec.bench.rig.machine import day
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import Trial, build
 from rtec.diagnosis import words

@@ -18,7 +18,7 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.doctor.devices import examine
-from rtec.report.doctor import doctor_page
+from rtec.report.devices import doctor_page
 from tests.support import setups
 from tests.support.box_rig import box_on_pty
 from tests.support.conformance import open_files

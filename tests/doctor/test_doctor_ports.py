@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from rtec.doctor import advice as doctor_mend
 from rtec.doctor import ports as doctor_ports
-from rtec.doctor.advice import SerialPlace, serial_places, shared_ports, ways
+from rtec.doctor import readings as doctor_readings
 from rtec.doctor.ports import Holder, PortHere
+from rtec.doctor.readings import SerialPlace, serial_places, shared_ports, ways
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import CanTemperatureOptions
@@ -96,7 +96,7 @@ def test_busy(tmp_path: Path, device: str, name: str, said: str) -> None:
 def test_busy_with_a_process_that_this_user_does_not_see(
     tmp_path: Path, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(doctor_mend, "sees_all_processes", lambda: False)
+    monkeypatch.setattr(doctor_readings, "sees_all_processes", lambda: False)
     wanted = (f"sudo fuser -v {device} tells which program has it open",)
     assert ways(port(port=device), BUSY, False, tmp_path) == wanted
 

@@ -10,7 +10,7 @@ from rtec.doctor.pc import UNLIMITED, Pc, as_list, look_at, processor_list, want
 from rtec.doctor.wakeup import WakeUps
 from rtec.errors import DriverUnavailable
 from rtec.loop.run_file import Realtime
-from rtec.report.doctor import pc_page
+from rtec.report.devices import pc_page
 from tests.support import setups
 
 PROCESSOR = "sys/devices/system/cpu"

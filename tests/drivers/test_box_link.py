@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from rtec_drivers.box import protocol, simulator
 from rtec_drivers.box.protocol import BoxState, Frame, FrameReader, Info
-from rtec_drivers.box.simulator import BoxSimulator, StillPlant
+from rtec_drivers.box.simulator import BoxSimulator
+from tests.support.box_peer import StillPlant, command_of, info_payload, state_payload
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "rtec-box-link.md"
 ROW = re.compile(r"^\| ([A-Z]+) \| (\d+) \| `(\{.*\})` \| `([0-9a-f ]+)` \|$", re.M)
@@ -26,9 +27,9 @@ def payload(name: str, says: dict[str, Any]) -> bytes:
     tuples: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in says.items()}
     match name:
         case "INFO":
-            return protocol.info_payload(Info(**tuples))
+            return info_payload(Info(**tuples))
         case "STATE":
-            return protocol.state_payload(BoxState(**tuples))
+            return state_payload(BoxState(**tuples))
         case "COMMAND":
             return protocol.command_payload(says["boot"], says["targets"])
         case "RESUME":
@@ -93,7 +94,7 @@ def test_it_is_in_step_again_after_any_garbage(garbage: bytes, piece: int) -> No
 def test_no_single_wrong_bit_passes() -> None:
     """Every bit of a STATE turned over once: never a frame that says something else. Oracle: the frame itself."""
     state = BoxState(7, 0, 3, 10**6, (5, 2**32 - 1), (-1, 70000))
-    frame = Frame(protocol.STATE, 17, protocol.state_payload(state))
+    frame = Frame(protocol.STATE, 17, state_payload(state))
     data = protocol.encode(frame)
     for bit in range(8 * len(data)):
         spoilt = bytearray(data)
@@ -124,9 +125,9 @@ def test_payloads_of_a_wrong_length_are_none() -> None:
     for wrong in (b"", b"\0" * 5, b"\0" * 9, b"\0" * (9 + 8 * 17), b"\0" * 18):
         assert protocol.state_of(wrong) is None
     assert protocol.info_of(b"\0" * 13) is None
-    assert protocol.info_of(protocol.info_payload(Info(1, 2, 3, 16, 5, 6)) + b"later") == Info(1, 2, 3, 16, 5, 6)
-    assert protocol.command_of(protocol.command_payload(3, [1, -1])) == (3, (1, -1))
-    assert protocol.command_of(b"\0" * 5) is None
+    assert protocol.info_of(info_payload(Info(1, 2, 3, 16, 5, 6)) + b"later") == Info(1, 2, 3, 16, 5, 6)
+    assert command_of(protocol.command_payload(3, [1, -1])) == (3, (1, -1))
+    assert command_of(b"\0" * 5) is None
 
 
 class Host:

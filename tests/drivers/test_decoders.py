@@ -20,12 +20,13 @@ from rtec.tomlfile import validated
 from rtec_drivers.ascii.driver import ReadingBook
 from rtec_drivers.ascii.text import AsciiOptions, LineParser
 from rtec_drivers.box import protocol as box
-from rtec_drivers.can import box_session as can_box_frames
+from rtec_drivers.can import box as can_box_frames
 from rtec_drivers.can.signals import Dbc, ObjectType, SignalOptions
 from rtec_drivers.modbus import frame as modbus_frame
 from rtec_drivers.modbus.map import Register
-from rtec_drivers.thermocouple import Conversion, TemperatureReadings
+from rtec_drivers.temperatures import Conversion, TemperatureReadings
 from rtec_drivers.zmq import message as zmq_message
+from tests.support.box_peer import command_of, state_payload
 from tests.support.conformance import MACHINE
 
 ROUNDS = int(os.environ.get("ROUNDS", "4000"))
@@ -72,7 +73,7 @@ def box_link() -> Feed:
     def feed(data: bytes, _: int) -> bool:
         frames = reader.feed(data)
         for payload in [*(frame.payload for frame in frames), data]:
-            for read in (box.state_of, box.info_of, box.command_of, box.decode):
+            for read in (box.state_of, box.info_of, command_of, box.decode):
                 read(payload)
         assert len(reader._rest) <= box.LONGEST_BODY + 3
         return bool(frames)
@@ -182,7 +183,7 @@ def pdos() -> Feed:
     return feed
 
 
-STATE_FRAME = box.encode(box.Frame(box.STATE, 5, box.state_payload(box.BoxState(1, 0, 3, 100, (1, 2), (3, -4)))))
+STATE_FRAME = box.encode(box.Frame(box.STATE, 5, state_payload(box.BoxState(1, 0, 3, 100, (1, 2), (3, -4)))))
 DECODERS: list[tuple[Callable[[], Feed], bytes, int]] = [
     (box_link, STATE_FRAME, 1),
     (can_box, can_box_frames.pack(0x150, can_box_frames.BoxFrame(5, 1, 1)), 1),

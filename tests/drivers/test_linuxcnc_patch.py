@@ -10,8 +10,8 @@ from rtec.cli.main import status
 from rtec.errors import ConfigError
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import load_setup
+from rtec_drivers.linuxcnc.adopt import RtecWiring, patched
 from rtec_drivers.linuxcnc.driver import LinuxCncDriver, LinuxCncOptions
-from rtec_drivers.linuxcnc.patch import RtecWiring, patched
 from tests.support.linuxcnc_session import BRIDGE, Session, why_not
 
 SAMPLE = Path("/usr/share/doc/linuxcnc/examples/sample-configs/sim/axis/axis_mm.ini")

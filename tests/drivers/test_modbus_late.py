@@ -10,11 +10,11 @@ import pytest
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import VirtualClock
 from rtec_drivers.byte_line import ByteLine
-from rtec_drivers.link_worker import Backoff, Worker
 from rtec_drivers.modbus.frame import RtuExchange
 from rtec_drivers.modbus.map import Register, blocks_of
 from rtec_drivers.modbus.poll import Poller, Slave
-from rtec_drivers.thermocouple import TemperatureReadings
+from rtec_drivers.reopen import Backoff, Worker
+from rtec_drivers.temperatures import TemperatureReadings
 from tests.support.modbus_peer import MS, crc
 
 NS = 1_000_000_000

@@ -23,15 +23,15 @@ from rtec.tomlfile import validated
 from rtec_drivers.ascii.driver import AsciiLinesDriver
 from rtec_drivers.ascii.text import AsciiOptions
 from rtec_drivers.box.driver import SerialBoxDriver
-from rtec_drivers.box.simulator import BoxSimulator, StillPlant
+from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.can.bus import CanOptions
 from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.can.encoders import CanEncodersDriver
 from rtec_drivers.can.scan import CanScanner
-from rtec_drivers.modbus.driver import ModbusDriver, ModbusOptions
-from rtec_drivers.modbus.scan import float_pairs
+from rtec_drivers.modbus.driver import ModbusDriver, ModbusOptions, float_pairs
 from rtec_drivers.pty_peer import PtyPeer
 from tests.drivers.test_modbus_others import other_server, program, pty_pair, running
+from tests.support.box_peer import StillPlant
 from tests.support.can_peer import Repeater, bus_on, frame, new_channel
 from tests.support.modbus_peer import CLOCK, FakeSlave, line
 
@@ -42,7 +42,7 @@ __all__ = ["program"]  # a fixture
 @pytest.fixture(autouse=True)
 def few_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     """All 247 slaves take 50 s."""
-    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(1, 9))
+    monkeypatch.setattr("rtec_drivers.modbus.driver.NUMBERS", range(1, 9))
 
 
 def found_by(scanner: Scanner) -> list[str]:
@@ -106,7 +106,7 @@ def test_several_slaves_of_pymodbus(serial: bool) -> None:
 
 def test_a_slave_that_answers_late_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes 150 ms, and is looked at when the next number has been asked; not for long, since it is slow."""
-    monkeypatch.setattr("rtec_drivers.modbus.scan.SLAVE_NS", 1_000_000_000)
+    monkeypatch.setattr("rtec_drivers.modbus.driver.SLAVE_NS", 1_000_000_000)
     with line({3: FakeSlave(value=lambda _: 215, last=31, delay_s=0.15)}) as bus:
         with ModbusDriver.scanner({"serial": {"port": bus.port, "baud": 115200}}, CLOCK) as scanner:
             assert found_by(scanner) == ["slave 3 answers: 32 input registers and 32 holding registers"]

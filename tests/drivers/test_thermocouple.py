@@ -10,7 +10,7 @@ from rtec.errors import ConfigError, DriverFault, DriverUnavailable
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import TemperatureSignal
 from rtec_drivers.modbus.map import Register, blocks_of, load_profile, profile_names
-from rtec_drivers.thermocouple import KINDS, Conversion, Kind, TemperatureReadings, to_degc, to_mv
+from rtec_drivers.temperatures import KINDS, Conversion, Kind, TemperatureReadings, to_degc, to_mv
 
 NAMES = ("T_bed", "T_air")
 S = 1_000_000_000

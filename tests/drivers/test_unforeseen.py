@@ -8,8 +8,7 @@ import pytest
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec_drivers.can.bus import CanLink, CanOptions
-from rtec_drivers.link_worker import Backoff, Worker
-from rtec_drivers.reopen import Reopener
+from rtec_drivers.reopen import Backoff, Reopener, Worker
 from rtec_drivers.serial_line import PortFinder, PortOptions
 from tests.support.conformance import soon
 

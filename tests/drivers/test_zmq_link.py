@@ -22,11 +22,10 @@ from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
 from rtec_drivers.registry import DRIVERS
 from rtec_drivers.zmq import link as zmq_link
-from rtec_drivers.zmq.driver import ZmqLinkDriver
+from rtec_drivers.zmq.driver import ClockOffset, ZmqLinkDriver
 from rtec_drivers.zmq.link import ZmqOptions, leaves_computer
 from rtec_drivers.zmq.message import KEYS, CommandAnswer, StateMessage, read_answer, read_state
 from rtec_drivers.zmq.message import command as command_text
-from rtec_drivers.zmq.states import ClockOffset
 from tests.support.box_rig import SPEED
 from tests.support.conformance import CONFIGS, MACHINE, DriverLaws, Rig, gives_back, open_files, soon
 from tests.support.zmq_rig import Cell, ipc_cell

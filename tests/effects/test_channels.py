@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from rtec.effects import State
-from rtec.effects.derived import (
-    FAR_MM,
-    direction_track,
-    motion_track,
-    motion_update,
-    since_reversal_track,
-    since_turn_track,
-)
+from rtec.effects.derived import FAR_MM, direction_track, motion_update, since_reversal_track, since_turn_track
 from rtec.effects.expression import Expression
 from rtec.effects.geometry import Scale
 from rtec.effects.state import Channels, Value
@@ -36,6 +29,7 @@ from rtec.model.model import reversal_um
 from tests.support import measurement_examples
 from tests.support.compiled_model import compile_model
 from tests.support.machines import turning_centre
+from tests.support.motion import motion_track
 
 Floats = NDArray[np.float64]
 MACHINE = turning_centre()

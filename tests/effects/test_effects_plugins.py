@@ -14,8 +14,7 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.effects import EFFECTS, all_effects, effect_class
-from rtec.effects.registry import plug_in_faults
-from rtec.effects.trial import PlugInWarning
+from rtec.effects.registry import PlugInWarning, plug_in_faults
 from rtec.errors import ModelError
 from rtec.estimation.candidates import library
 from rtec.estimation.readings import read

@@ -14,7 +14,7 @@ from rtec.daemon.status import Status
 from rtec.daemon.supervision import LOST_AFTER
 from rtec.daemon.supervisor import Supervisor
 from rtec.errors import RtecError
-from rtec.log.events import Event
+from rtec.log.recording import Event
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup

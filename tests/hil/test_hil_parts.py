@@ -24,8 +24,9 @@ from rtec.loop.run_file import load_setup
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.can.signals import Dbc
-from rtec_drivers.hil.adapter import adapter
-from rtec_drivers.hil.catalogue import FAULTS
+from rtec_drivers.hil.bus_devices import adapter, crc, slave_line
+from rtec_drivers.hil.bus_run import Logbook, held_spans, read_logbook
+from rtec_drivers.hil.faults import AFTER_S, FAULTS, FaultWatch
 from rtec_drivers.hil.findings import (
     faults_found,
     given_astray,
@@ -35,12 +36,8 @@ from rtec_drivers.hil.findings import (
     unheld_spans,
 )
 from rtec_drivers.hil.injector import can_switches, modbus_switches
-from rtec_drivers.hil.logbook import Logbook, held_spans, read_logbook
-from rtec_drivers.hil.resources import Resources, ResourceSeries, TimeStretch
-from rtec_drivers.hil.slaves import crc, slave_line
-from rtec_drivers.hil.soak import RECOVER_S, draw_faults
-from rtec_drivers.hil.track import TipTrack, accuracy
-from rtec_drivers.hil.watch import AFTER_S, FaultWatch
+from rtec_drivers.hil.plant import TipTrack, accuracy
+from rtec_drivers.hil.soak import RECOVER_S, Resources, ResourceSeries, TimeStretch, draw_faults
 from rtec_drivers.hil.wiring import read_wiring
 from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.modbus.frame import HOLDING, INPUT, ModbusRequest, find_rtu

@@ -19,8 +19,8 @@ from rtec.correction.flags import Flag
 from rtec.daemon.status import Report, Status
 from rtec.daemon.supervisor import Supervisor
 from rtec.errors import RtecError
-from rtec.log.events import Event
 from rtec.log.reader import LogReader
+from rtec.log.recording import Event
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state_files import MemoryState, state_places
 from tests.support import setups

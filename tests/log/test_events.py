@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from rtec.daemon.disk import DiskThread
-from rtec.log.events import REMEMBERED, Event, Events
-from rtec.log.recording import Recording
+from rtec.log.recording import REMEMBERED, Event, Events, Recording
 from rtec.loop.clock import VirtualClock
 from rtec.loop.state_files import DiskState
 from tests.support.parts import part

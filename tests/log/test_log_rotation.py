@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from rtec.daemon.run_log import TIDY_ANYWAY_NS, TIDY_NS, Keeper
+from rtec.daemon.disk import TIDY_ANYWAY_NS, TIDY_NS, Keeper
 from rtec.errors import LogError
 from rtec.log.folder import being_written, first_name, log_files, logs_at, look_at, next_log, place_of
 from rtec.log.packed import pack
@@ -284,7 +284,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         def terminate(self) -> None:
             commands.append(["terminate"])
 
-    monkeypatch.setattr("rtec.daemon.run_log.Popen", Ended)
+    monkeypatch.setattr("rtec.daemon.disk.Popen", Ended)
     return commands
 
 

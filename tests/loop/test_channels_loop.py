@@ -14,7 +14,6 @@ import tomli_w
 
 from rtec.correction.flags import MODE_ON, Flag, Limits
 from rtec.daemon.dry_run import input_rows
-from rtec.effects.derived import motion_track
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, ModelError
 from rtec.log.reader import LogReader
@@ -27,6 +26,7 @@ from rtec.model import FittedEffect, Model, save_model
 from rtec.playback.replay import replay_log
 from tests.loop.test_step import FAST, MACHINE, NS, SLOW, same
 from tests.support import setups
+from tests.support.motion import motion_track
 from tests.support.plain_step import plain_module
 
 

@@ -16,7 +16,7 @@ from rtec.correction.sinks import Sink
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 from rtec.loop.driver_info import all_drivers, driver_facts, find, installed, options_of
-from rtec.report.drivers import driver_row
+from rtec.report.devices import driver_row
 from rtec.tomlfile import Strict, validated
 from rtec_drivers.registry import DRIVERS
 from tests.support.conformance import CONFIGS, MACHINE

@@ -9,7 +9,7 @@ from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.daemon.ring import Ring
 from rtec.daemon.status import Status
 from rtec.daemon.supervisor import Supervisor
-from rtec.log.events import Event
+from rtec.log.recording import Event
 from rtec.loop.orders import MODE_OF, Order, OrderRefused, OrderWords, order_named
 from rtec.loop.records import MODES_BY_NAME, Layout
 from tests.support import setups

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from rtec import limits
+from rtec import files
 from rtec.errors import LogError, MeasurementError
 from rtec.loop.run_file import load_setup
 from rtec.metrology.files.load import load_measurement
@@ -23,10 +23,10 @@ from tests.support import setups
 def test_a_size_is_compared_with_this_computers_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: 4 GiB of pages, half of it, four bytes a byte: 512 MiB."""
     monkeypatch.setattr("os.sysconf", {"SC_PHYS_PAGES": 2**20, "SC_PAGE_SIZE": 2**12}.__getitem__)
-    assert limits.most_bytes(4) == 2**29
-    limits.check_size(Path("a"), 2**29, 4, MeasurementError)
+    assert files.most_bytes(4) == 2**29
+    files.check_size(Path("a"), 2**29, 4, MeasurementError)
     with pytest.raises(MeasurementError, match=r"a: 5\.37e\+08 bytes, and this computer's memory holds 5\.37e\+08"):
-        limits.check_size(Path("a"), 2**29 + 1, 4, MeasurementError)
+        files.check_size(Path("a"), 2**29 + 1, 4, MeasurementError)
 
 
 @pytest.mark.parametrize("tail", ["", "\n1,2.5"])

@@ -14,8 +14,7 @@ from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.sim.campaign.campaign import simulate
-from rtec.sim.campaign.settings import DayPhase, ReadingNoise, Settings
-from rtec.sim.campaign.settings import Path as Way
+from rtec.sim.campaign.settings import DayPhase, DrivenPath, ReadingNoise, Settings
 from rtec.sim.campaign.truth import truth_of
 from tests.support import proof
 from tests.support.exact_chain import exact_tip_error_um
@@ -39,7 +38,7 @@ def bridge(corner: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Machine:
 def measured(m: Machine, plane: str, origin: list[float], effects: tuple[str, ...], seed: int = 1, cycles: int = 1,
              noise_um: float = 0.2, **path: Any) -> Measurement:  # fmt: skip
     grid = make_instrument("grid_encoder", {"plane": plane, "origin_mm": origin}, None, None, m, "test")
-    settings = Settings(noise=ReadingNoise(white_um=noise_um), path=Way.model_validate(path),
+    settings = Settings(noise=ReadingNoise(white_um=noise_um), path=DrivenPath.model_validate(path),
                         phase=(DayPhase(name="cold", cycles=cycles),))  # fmt: skip
     return simulate(truth_of(m, effects=effects), grid, settings, seed, f"{plane} {origin}")
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.metrology.grid.compare import moved_along, not_compared, places
-from rtec.metrology.grid.evaluation import evaluate
+from rtec.metrology.grid.compare import evaluate, moved_along, not_compared, places
 from rtec.metrology.grid.paths import straight_pieces
 from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument

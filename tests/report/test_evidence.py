@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.diagnosis.result import Picture
-from rtec.report.diagnosis_figures import evidence_figure, spread_out
+from rtec.report.diagnosis import evidence_figure, spread_out
 from rtec.report.evidence import LEVELS, Evidence, evidence, explained, places, roughness
 from tests.support.figures import drawn, lines
 

@@ -14,10 +14,10 @@ from rtec.demo import figures as demo
 from rtec.report import (
     ball_bar_figures,
     compare_figures,
-    diagnosis_figures,
+    diagnosis,
     effects_figures,
-    fit_figures,
-    grid_figures,
+    fit,
+    grid,
     hil,
     procedures_figures,
 )
@@ -33,7 +33,7 @@ HOURS = np.linspace(0.0, 24.0, 25)
 TURNS = np.asarray(RNG.uniform(0.0, 2.0 * np.pi, 300), dtype=np.float64)
 CIRCLE = ball_bar_figures.CircleTrace("flat", 1, TURNS, np.sin(TURNS) + RNG.standard_normal(300), np.sin(TURNS))
 PIECES = [
-    grid_figures.Piece(along, way, np.linspace(0.0, 100.0, 201), beside, RNG.standard_normal(201), 0)
+    grid.Piece(along, way, np.linspace(0.0, 100.0, 201), beside, RNG.standard_normal(201), 0)
     for along, way, beside in ((0, 1, 0.0), (1, 1, 100.0), (0, -1, 100.0), (1, -1, 0.0))
 ]
 BOTH = [("Diameter", NOISE[:25], 0.1 * NOISE[:25]), ("Length", NOISE[25:50], 0.1 * NOISE[25:50])]
@@ -57,7 +57,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "linear": lambda: drawn(ball_bar_figures.linear, [CIRCLE], 5.0),
     "causes": lambda: drawn(ball_bar_figures.causes, [CIRCLE], [("scale X (40 %)", [np.cos(TURNS)])], 5.0),
     "spectra": lambda: drawn(ball_bar_figures.spectra, [("flat", np.arange(1.0, 6.0), np.arange(1.0, 6.0))]),
-    "contour": lambda: drawn(grid_figures.contour, "grid, XY", ("X", "Y"), PIECES, ["run 1"], 5000.0),
+    "contour": lambda: drawn(grid.contour, "grid, XY", ("X", "Y"), PIECES, ["run 1"], 5000.0),
     "positioning": lambda: drawn(
         procedures_figures.positioning, "X", np.linspace(0.0, 100.0, 5),
         {"up": NOISE[:20].reshape(5, 4), "down": NOISE[20:40].reshape(5, 4)}, (-3.0, 3.0), NOISE[:4],
@@ -74,10 +74,10 @@ FIGURES: dict[str, Callable[[], Figure]] = {
         [("Drift", "displacement, µm", {"axial": (NOISE[:25], np.sqrt(HOURS))}),
          ("Temperatures", "change since the start, K", {"T_bed": (HOURS, np.full(25, np.nan))})],
     ),
-    "falling": lambda: drawn(fit_figures.falling, np.array([100.0, 30.0, 9.0]), np.array([106.0, 35.0, 12.0])),
-    "residuals": lambda: drawn(fit_figures.residuals, [("laser", "µm", HOURS, NOISE[None, :25])]),
+    "falling": lambda: drawn(fit.falling, np.array([100.0, 30.0, 9.0]), np.array([106.0, 35.0, 12.0])),
+    "residuals": lambda: drawn(fit.residuals, [("laser", "µm", HOURS, NOISE[None, :25])]),
     "rivals": lambda: drawn(
-        diagnosis_figures.rivals,
+        diagnosis.rivals,
         [("scale(EXX, X)", 0.98, True, "99% probable"), ("backlash(EXX, X)", 0.1, False, "less likely")],
     ),
     "hil": lambda: drawn(hil.tip_errors, HOURS, [("X", NOISE[:25], NOISE[25:50])], [("silent", 3.0, 6.0)]),
@@ -145,7 +145,7 @@ def test_one_prediction_where_both_directions_have_it() -> None:
 
 def test_noise_of_a_grid_is_pale_and_its_mean_bold() -> None:
     """Oracle: the path between is a straight line with noise; its bold mean strays less than a third as far."""
-    piece = grid_figures.Piece(0, 1, np.linspace(0.0, 100.0, 401), 0.0, np.asarray(RNG.standard_normal(401)), 0)
-    (ax,) = drawn(grid_figures.contour, "grid", ("X", "Y"), [piece], ["run 1"], 1000.0).axes
+    piece = grid.Piece(0, 1, np.linspace(0.0, 100.0, 401), 0.0, np.asarray(RNG.standard_normal(401)), 0)
+    (ax,) = drawn(grid.contour, "grid", ("X", "Y"), [piece], ["run 1"], 1000.0).axes
     bold = max((line for line in ax.get_lines() if line.get_label() == "run 1"), key=lambda line: line.get_linewidth())
     assert float(np.std(np.asarray(bold.get_ydata()))) < float(np.std(piece.deviation_um)) / 3.0

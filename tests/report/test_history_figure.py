@@ -6,8 +6,7 @@ from matplotlib.text import Annotation, Text
 
 from rtec.model import Model
 from rtec.model.history import History, steps_of
-from rtec.report.history import history_page, stairs
-from rtec.report.history_figures import staircase
+from rtec.report.history import history_page, staircase, stairs
 from tests.support.diagnosis_examples import small_machine
 from tests.support.figures import drawn, overlapping
 

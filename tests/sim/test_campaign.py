@@ -20,8 +20,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign.campaign import simulate
-from rtec.sim.campaign.request import DRIFT_PROBES
-from rtec.sim.campaign.settings import Settings
+from rtec.sim.campaign.settings import DRIFT_PROBES, Settings
 from rtec.sim.campaign.truth import truth_of
 from tests.support import proof
 

@@ -22,11 +22,18 @@ from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.model import Model
 from rtec.sim.campaign.campaign import Simulated, simulate, simulate_with_truth
 from rtec.sim.campaign.cycle import off_pitch, on_pitch
-from rtec.sim.campaign.noise import drift_noise, with_noise
-from rtec.sim.campaign.protocol import PRESETS
-from rtec.sim.campaign.request import DRIFT_PROBES, setup_table
-from rtec.sim.campaign.settings import PERFECT, QUIET, DayPhase, ReadingNoise, Settings, Targets, Thermal
-from rtec.sim.campaign.thermal import relax
+from rtec.sim.campaign.protocol import PRESETS, drift_noise, relax, with_noise
+from rtec.sim.campaign.settings import (
+    DRIFT_PROBES,
+    PERFECT,
+    QUIET,
+    DayPhase,
+    ReadingNoise,
+    Settings,
+    Targets,
+    Thermal,
+    setup_table,
+)
 from rtec.sim.campaign.truth import effect_from_text, truth_of
 from tests.support.exact_chain import exact_tip_error_um
 from tests.support.instrument_examples import EXAMPLES, Example, frames

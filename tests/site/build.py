@@ -30,7 +30,7 @@ from rtec.diagnosis.result import Diagnosis
 from rtec.effects import Effect
 from rtec.machine import Machine
 from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis
-from rtec.metrology.grid.evaluation import GridEvaluation
+from rtec.metrology.grid.compare import GridEvaluation
 from rtec.metrology.importing import Imported
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.drift import Drift
@@ -38,7 +38,7 @@ from rtec.metrology.procedures.iso230_2 import PositioningTests
 from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
 from rtec.model import Model
 from rtec.model.history import History
-from rtec.playback.result import Replayed
+from rtec.playback.replay import Replayed
 from rtec.result import Result
 from rtec.sim.campaign.campaign import Simulated
 

@@ -13,10 +13,10 @@ from rtec.loop.clock import Clock, RealClock, VirtualClock
 from rtec.machine import Machine
 from rtec.tomlfile import validated
 from rtec_drivers.box import driver as serial_box
-from rtec_drivers.box.driver import SerialBoxDriver
-from rtec_drivers.box.options import BoxOptions
-from rtec_drivers.box.simulator import BoxSimulator, StillPlant
+from rtec_drivers.box.driver import BoxOptions, SerialBoxDriver
+from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.pty_peer import PtyPeer, WireFaults
+from tests.support.box_peer import StillPlant
 from tests.support.conformance import MACHINE
 from tests.support.gateware import GatewareBox, gateware_on_a_port, missing
 

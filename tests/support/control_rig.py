@@ -11,7 +11,7 @@ from rtec.control.places import socket_path
 from rtec.correction.flags import Flag
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonParts
-from rtec.log.events import Event, Events
+from rtec.log.recording import Event, Events
 from rtec.loop.clock import RealClock
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup

@@ -25,16 +25,16 @@ from rtec_drivers.ascii import offset
 from rtec_drivers.ascii.offset_options import OffsetOptions
 from rtec_drivers.box import driver as serial_box
 from rtec_drivers.box import protocol
-from rtec_drivers.box.simulator import BoxSimulator, StillPlant
+from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.can import box as can_box
-from rtec_drivers.link_worker import Worker
 from rtec_drivers.linuxcnc import driver as linuxcnc
 from rtec_drivers.linuxcnc.link import BridgeLink
 from rtec_drivers.pty_peer import WireFaults
-from rtec_drivers.reopen import Reopener
+from rtec_drivers.reopen import Reopener, Worker
 from rtec_drivers.sim import SimDriver, SimOptions
 from rtec_drivers.zmq import driver as zmq_link
 from rtec_drivers.zmq.link import ZmqOptions
+from tests.support.box_peer import StillPlant
 from tests.support.box_rig import SPEED, START_NS, MemoryLine, options
 from tests.support.can_peer import FakeBox
 from tests.support.conformance import CONFIGS, MACHINE

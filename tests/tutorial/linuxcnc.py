@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtec import api
-from rtec.metrology.files.save import write_files
+from rtec.metrology.files.load import write_files
 from rtec.report.figures import GREY, OFF, ON, as_png, room_above, stacked
 from tests.support.linuxcnc_loop import Floats, dwell_means, run_files, start_daemon, until_pins
 from tests.support.linuxcnc_session import CONFIGS, ROOT, Session, why_not

@@ -8,7 +8,7 @@ import pytest
 
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
-from rtec.report.additions import WHY_ENDED
+from rtec.report.history import WHY_ENDED
 from tests.tutorial.tutorial import FIGURES, ROOT, TUTORIAL, commands, run_all, take_figures
 
 TEXT = TUTORIAL.read_text(encoding="utf-8")

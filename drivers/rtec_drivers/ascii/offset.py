@@ -16,7 +16,7 @@ from rtec.machine import Machine
 from rtec_drivers.ascii.offset_options import ENDS, OffsetOptions, OffsetText
 from rtec_drivers.ascii.text import LINE_ENDS, LineReader
 from rtec_drivers.byte_line import ByteLine, way_of
-from rtec_drivers.link_worker import NS, Backoff, Worker
+from rtec_drivers.reopen import NS, Backoff, Worker
 
 IntArray = NDArray[np.int64]
 Output = tuple[int, ...]

@@ -1,27 +1,133 @@
 """Encoder box on a serial port: reads latched counts, inserts counts (RTEC box link, `docs/rtec-box-link.md`)."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.loop.ports import Scanner
 from rtec.machine import Machine
+from rtec.quantities import Counts, MillimetresPerSecond
 from rtec.tomlfile import validated
 from rtec_drivers.box import protocol
-from rtec_drivers.box.ledger import BoxLedger
-from rtec_drivers.box.options import BoxOptions, axis_order, max_counts_per_s
-from rtec_drivers.box.scan import BoxScanner
-from rtec_drivers.box.session import BoxAnswer, BoxSession
-from rtec_drivers.count_tracker import CountTracker
+from rtec_drivers.box.protocol import BoxLedger, Info
+from rtec_drivers.box.session import HELLO_PERIOD_S, BoxAnswer, BoxSession
+from rtec_drivers.count_tracker import CountTracker, axis_order, max_counts_per_s
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.serial_line import PortFinder, PortOptions, Ports, SerialLine
+
+
+class BoxOptions(PortOptions):
+    """Options of an encoder box on a serial port.
+
+    Attributes:
+        baud: ignored by a box with a USB port of its own.
+        axes: the box's inputs in order, by the machine's axis names; not given: the machine's order.
+        max_speed_mm_s: highest speed of each axis; faster counts are refused.
+        box_serial: number of the box; another box is refused. Not given: any box.
+        timeout_ms: longest wait for an answer in a cycle; shorter than the cycle.
+        open_timeout_s: longest wait for the box when its port is opened (some boxes restart then).
+        command_timeout_s: longest time without an accepted command before that is reported.
+        silent_reopen_s: after this time of silence the port is closed and reopened.
+        resume_step_counts: the first command after a start or an order to resume may differ from the box's ledger
+            by at most this.
+    """
+
+    baud: Annotated[int, Field(ge=50, le=20_000_000)] = 1_000_000
+    axes: tuple[str, ...] | None = None
+    max_speed_mm_s: dict[str, MillimetresPerSecond]
+    box_serial: Annotated[int, Field(ge=0, le=2**32 - 1)] | None = None
+    timeout_ms: Annotated[float, Field(ge=1e-3, le=100)] = 0.6
+    open_timeout_s: Annotated[float, Field(ge=0.1, le=30)] = 3.0
+    command_timeout_s: Annotated[float, Field(ge=1e-4, le=10)] = 0.05
+    silent_reopen_s: Annotated[float, Field(ge=1e-3, le=600)] = 2.0
+    resume_step_counts: Counts = 16
+
+
+OPEN_S: Final = 3.0
+"""Longest wait, s: some boxes restart when their port is opened."""
+ANSWER_S: Final = 0.1
+PLACE: Final = "input {}"
+
+
+class BoxScanner:
+    """Asks a box for its description and its counts.
+
+    Args:
+        options: the port.
+        clock: clock of the deadlines.
+
+    Attributes:
+        duration: duration of the search, in words.
+        info: the box's description; None before its answer.
+    """
+
+    def __init__(self, options: PortOptions, clock: Clock) -> None:
+        self.duration = f"up to {OPEN_S:g} s"
+        self.info: Info | None = None
+        self._options, self._clock = options, clock
+        self._session: BoxSession | None = None
+        self._counts: tuple[int, ...] = ()
+
+    def __enter__(self) -> Self:
+        """Open the port.
+
+        Raises:
+            DriverUnavailable: it cannot be opened.
+        """
+        self._session = BoxSession(SerialLine(self._options, PortFinder(self._options).find()), self._clock)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close the port."""
+        if self._session is not None:
+            self._session.line.close()
+            self._session = None
+
+    def search(self) -> Iterator[tuple[float, str]]:
+        """Greet until the box answers."""
+        tries = round(OPEN_S / HELLO_PERIOD_S)
+        for k in range(tries):
+            yield k / tries, ""
+            with suppress(DriverTimeout):
+                self.info = info = self._session.greet(HELLO_PERIOD_S) if self._session is not None else None
+                if info is not None:
+                    yield (
+                        1.0,
+                        (
+                            f"RTEC encoder box number {info.box_serial}: {info.axes} inputs, counters of "
+                            f"{info.counter_bits} bits, inserts up to {info.counts_per_s} counts/s"
+                        ),
+                    )
+                    return
+        yield 1.0, "no RTEC encoder box answers here"
+
+    def read(self) -> dict[str, float]:
+        """Counts by input."""
+        if self._session is not None and self.info is not None:
+            with suppress(DriverTimeout):
+                self._counts = self._session.exchange(ANSWER_S).state.counts
+        return {PLACE.format(k + 1): float(count) for k, count in enumerate(self._counts)}
+
+    def proposed(self, names: Sequence[str]) -> dict[str, str]:
+        """In order, if the box has as many inputs as the machine has axes."""
+        if self.info is None or self.info.axes != len(names):
+            return {}
+        return {name: PLACE.format(k + 1) for k, name in enumerate(names)}
+
+    def table(self, places: Mapping[str, str], unit: float) -> dict[str, Any]:
+        """`axes`, in the order of the inputs, and the number of the box."""
+        del unit
+        number = {} if self.info is None else {"box_serial": self.info.box_serial}
+        return {"axes": sorted(places, key=lambda name: int(places[name].split()[1])), **number}
+
 
 IntArray = NDArray[np.int64]
 FIRST_WAIT_S = 0.1

@@ -6,12 +6,16 @@ The document is `docs/rtec-box-link.md`; its test vectors are checked against th
 
 Numbers are little-endian. The zero byte ends a frame and is nowhere else, so after any damage the next frame can be
 read.
+
+`BoxLedger` is the driver's side of the box's commands: the ledger, and whether the box may be commanded.
 """
 
 import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from rtec.errors import DriverFault, DriverTimeout
 
 VERSION = 1
 HELLO, READ, COMMAND, RESUME = 0x01, 0x02, 0x03, 0x04
@@ -176,35 +180,14 @@ def command_payload(boot: int, targets: Sequence[int]) -> bytes:
     return struct.pack(f"<H{len(targets)}i", boot, *targets)
 
 
-def command_of(payload: bytes) -> tuple[int, tuple[int, ...]] | None:
-    """Boot number and targets of a COMMAND; None where the length is wrong."""
-    axes, rest = divmod(len(payload) - 2, 4)
-    if rest or not 0 < axes <= MAX_AXES:
-        return None
-    boot, *targets = struct.unpack(f"<H{axes}i", payload)
-    return boot, tuple(targets)
-
-
 def resume_payload(boot: int) -> bytes:
     """Payload of RESUME, for the box that started as `boot`."""
     return struct.pack("<H", boot)
 
 
-def info_payload(info: Info) -> bytes:
-    """Payload of INFO."""
-    return _INFO.pack(info.boot, info.box_serial, info.axes, info.counter_bits, info.hold_after_ms, info.counts_per_s)
-
-
 def info_of(payload: bytes) -> Info | None:
     """Content of an INFO; None where it is too short. Of a longer one the known part is read."""
     return Info(*_INFO.unpack_from(payload)) if len(payload) >= _INFO.size else None
-
-
-def state_payload(state: BoxState) -> bytes:
-    """Payload of STATE: after the header counts and ledger, axis by axis."""
-    pairs = [n for pair in zip(state.counts, state.ledger, strict=True) for n in pair]
-    head = _STATE.pack(state.boot, state.status, state.last_command, state.time_us)
-    return head + struct.pack("<" + "Ii" * len(state.counts), *pairs)
 
 
 def state_of(payload: bytes) -> BoxState | None:
@@ -215,3 +198,117 @@ def state_of(payload: bytes) -> BoxState | None:
     pairs = struct.unpack_from("<" + "Ii" * axes, payload, _STATE.size)
     boot, status, last_command, time_us = _STATE.unpack_from(payload)
     return BoxState(boot, status, last_command, time_us, pairs[0::2], pairs[1::2])
+
+
+LARGEST = 2**31 - 1
+PATIENT_TRIES = 10
+"""Orders to resume that may be lost on the way before that is reported."""
+HOLDS = "the correction holds until it is ordered to resume"
+
+
+class BoxLedger:
+    """The driver's side of the box's ledger.
+
+    A box that restarted (another boot number, or its bit NOT_RESUMED) is not commanded until `order_resume`.
+
+    Attributes:
+        counts: the box's newest ledger; None before the first report.
+        boot: boot number of the commanded box.
+        must_resume: why it waits for an order; "" where it does not.
+        pending: must the order to resume go out with the next command?
+
+    Args:
+        step_counts: the first command may differ from the box's ledger by at most this.
+        timeout_s: longest time without an accepted command.
+    """
+
+    def __init__(self, step_counts: int, timeout_s: float) -> None:
+        self._step, self._timeout_ns = step_counts, round(timeout_s * 1e9)
+        self.counts: tuple[int, ...] | None = None
+        self.order_resume()
+
+    def order_resume(self) -> None:
+        """Accept the present box, and command it from its ledger."""
+        self.must_resume, self.boot, self.counts = "", -1, None
+        self.pending, self._tries, self._first = True, 0, True
+        self._last_taken, self._waiting_ns = -1, -1
+
+    def reconnected(self) -> None:
+        """Restart the time without an accepted command, since the line is back."""
+        self._waiting_ns, self._tries = -1, 0
+
+    def stop(self, why: str) -> None:
+        """Command nothing until the order comes."""
+        if not self.must_resume:
+            self.must_resume = f"{why}; {HOLDS}"
+
+    def reported(self, state: BoxState) -> None:
+        """Process the box's report.
+
+        Raises:
+            DriverFault: it does not accept the order to resume.
+        """
+        self.counts = state.ledger
+        if state.last_command != self._last_taken:
+            self._last_taken, self._waiting_ns = state.last_command, -1
+        if self.boot not in (-1, state.boot):
+            self.stop(f"the encoder box restarted (start {state.boot}, before {self.boot}): its ledger is zero again")
+        elif self.pending:
+            self._take_up(state)
+        elif state.status & NOT_RESUMED:
+            self.stop("the encoder box stopped inserting by itself")
+        elif state.status & ENCODER_FAULT:
+            self.stop("the encoder box saw a fault of an encoder's signal: the position is not known")
+
+    def check_command(self, targets: Sequence[int]) -> None:
+        """Check that this may be commanded.
+
+        Raises:
+            DriverFault: it waits for an order, the numbers are too large, or the first command is a jump.
+            DriverTimeout: the box has not reported its ledger yet.
+        """
+        if self.must_resume:
+            raise DriverFault(self.must_resume)
+        if self.counts is None:
+            raise DriverTimeout("the encoder box has not told its ledger yet")
+        if any(abs(t) > LARGEST for t in targets):
+            raise DriverFault(f"inserted counts {list(targets)} do not fit into 32 bits")
+        if self._first:
+            self._check_first(targets, self.counts)
+
+    def commanded(self, now_ns: int) -> None:
+        """Record a command that was sent, with the order to resume where that was pending.
+
+        Raises:
+            DriverTimeout: the box has accepted none for too long.
+        """
+        self._tries += self.pending
+        if self._waiting_ns < 0:
+            self._waiting_ns = now_ns
+        self.check_taken(now_ns)
+
+    def check_taken(self, now_ns: int) -> None:
+        """Check that the box accepts commands; called in every cycle, whether a command was sent or not.
+
+        Raises:
+            DriverTimeout: it has accepted none for too long.
+        """
+        if 0 <= self._waiting_ns < now_ns - self._timeout_ns:
+            raise DriverTimeout(f"the encoder box has taken no command for {(now_ns - self._waiting_ns) * 1e-9:.2f} s")
+
+    def _take_up(self, state: BoxState) -> None:
+        self.boot = state.boot
+        if state.status & ENCODER_FAULT:
+            raise DriverFault("the encoder box sees, or saw, a fault of an encoder's signal")
+        self.pending = bool(state.status & NOT_RESUMED)
+        if self.pending and self._tries > PATIENT_TRIES:
+            raise DriverFault("the encoder box does not take the order to resume")
+
+    def _check_first(self, targets: Sequence[int], has: Sequence[int]) -> None:
+        furthest = max(abs(t - h) for t, h in zip(targets, has, strict=True))
+        if furthest > self._step:
+            raise DriverFault(
+                f"the first command {list(targets)} is {furthest} counts off what the encoder box has, {list(has)}: "
+                "refused; the loop must take over the box's ledger first"
+            )
+        self._first = False

@@ -29,28 +29,6 @@ class Plant(Protocol):
         ...
 
 
-class StillPlant:
-    """Encoders that the test moves.
-
-    Attributes:
-        position: raw counts.
-        inserted: surplus of the controller's counts.
-    """
-
-    def __init__(self, axes: int) -> None:
-        self.position = [0] * axes
-        self.inserted = [0] * axes
-
-    def counts(self, now_ns: int) -> list[int]:
-        """The present position."""
-        del now_ns
-        return list(self.position)
-
-    def insert(self, ledger: list[int]) -> None:
-        """Record it."""
-        self.inserted = list(ledger)
-
-
 class BoxSimulator:
     """The box's firmware.
 

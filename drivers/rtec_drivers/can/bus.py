@@ -14,7 +14,7 @@ from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.quantities import Code, Whole
 from rtec.tomlfile import Strict
-from rtec_drivers.link_worker import Backoff, FirstRetry, LongestRetry, Worker
+from rtec_drivers.reopen import Backoff, FirstRetry, LongestRetry, Worker
 
 RECEIVE_S = 0.02
 """Longest wait, s, for a frame before the thread checks for its end, and for silent devices."""

@@ -19,7 +19,7 @@ from rtec.tomlfile import validated
 from rtec_drivers.can.bus import CanOptions, CanPort
 from rtec_drivers.can.scan import CanScanner
 from rtec_drivers.can.signals import NMT, Dbc, NodeOptions, NodeWatch, SignalOptions, SignalSource
-from rtec_drivers.thermocouple import Conversion, TemperatureReadings, open_code_faults
+from rtec_drivers.temperatures import Conversion, TemperatureReadings, open_code_faults
 
 Timeout = Annotated[float, Field(ge=1e-3, le=3600)]
 

@@ -9,7 +9,7 @@ from rtec.loop.clock import Clock
 from rtec.wording import counted
 from rtec_drivers.can.bus import CanLink, CanOptions
 from rtec_drivers.can.signals import PDO_IDS
-from rtec_drivers.room import in_room
+from rtec_drivers.temperatures import in_room
 
 LISTEN_S: Final = 5.0
 STEP_NS: Final = 100_000_000

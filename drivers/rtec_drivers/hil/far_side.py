@@ -22,14 +22,14 @@ from rtec.loop.run_file import Realtime
 from rtec.loop.state_files import state_places
 from rtec.machine import Machine, load_machine
 from rtec.tomlfile import validated
+from rtec_drivers.box.driver import BoxOptions
 from rtec_drivers.box.gateware import LONGEST_MS, Chip, GatewareBox, on_a_port
-from rtec_drivers.box.options import BoxOptions, axis_order
 from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.can.driver import CanTemperatureOptions
-from rtec_drivers.hil.adapter import adapter
+from rtec_drivers.count_tracker import axis_order
+from rtec_drivers.hil.bus_devices import adapter, slave_line
 from rtec_drivers.hil.injector import Box, Injector, Switch, box_switches, can_switches, modbus_switches
 from rtec_drivers.hil.plant import InBoxOrder, MachinePlant, Recorder, Sensed
-from rtec_drivers.hil.slaves import slave_line
 from rtec_drivers.hil.wiring import SENSED, TRACK, Wiring, read_wiring
 from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.pty_peer import PtyPeer

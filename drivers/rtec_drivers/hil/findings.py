@@ -7,11 +7,9 @@ import numpy as np
 
 from rtec.hil import WITHIN, Check, FaultFound, FaultOrder, OffAndOn
 from rtec.playback.replay import replay_log
-from rtec_drivers.hil.bus_run import BusRun
-from rtec_drivers.hil.catalogue import FAULTS
-from rtec_drivers.hil.logbook import Logbook, held_spans
-from rtec_drivers.hil.track import TipTrack, errors_um, inside
-from rtec_drivers.hil.watch import FaultWatch
+from rtec_drivers.hil.bus_run import BusRun, Logbook, held_spans
+from rtec_drivers.hil.faults import FAULTS, FaultWatch
+from rtec_drivers.hil.plant import TipTrack, errors_um, inside
 
 AT_END_S = 0.05
 """A hold that ends this near to the run's end, s, counts as a hold for good."""

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from rtec.loop.clock import Clock
 from rtec_drivers.box.gateware import GatewareBox
 from rtec_drivers.box.simulator import BoxSimulator
-from rtec_drivers.hil.adapter import SlcanSimulator
+from rtec_drivers.hil.bus_devices import SlaveLine, SlcanSimulator
 from rtec_drivers.hil.plant import MachinePlant
-from rtec_drivers.hil.slaves import SlaveLine
 from rtec_drivers.pty_peer import PtyPeer
 
 GARBAGE = bytes((0x55, 0x00, 0xFF, 0x13, 0x0D, 0x80, 0x2A))

@@ -1,20 +1,205 @@
-"""The long run: the whole bench with random faults, to show what only shows with time."""
+"""The long run: the whole bench with random faults, to show what only shows with time, as memory and open files."""
 
+import multiprocessing
+import os
 import random
 import tempfile
+from array import array
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from rtec.hil import Check, FaultOrder, SoakFault, SoakOrder, SoakResult, Tell
-from rtec_drivers.hil.bus_run import BusRun
-from rtec_drivers.hil.catalogue import FAULTS, Bus
-from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses
+from rtec.daemon.status import Status
+from rtec.hil import Check, Deadlines, FaultOrder, Resource, SoakFault, SoakOrder, SoakResult, Tell
+from rtec.loop.stats import Histogram
+from rtec_drivers.hil.bus_run import BusRun, ends_politely, every_ms_of, run_on_buses
+from rtec_drivers.hil.faults import FAULTS, Bus
 from rtec_drivers.hil.findings import checks_of, held_check
-from rtec_drivers.hil.resources import Resources
 from rtec_drivers.hil.wiring import read_wiring
+
+LOOP = "rtec-loop"
+PERIOD_S = 1.0
+MEMORY_SLACK = 0.5
+"""Difference of memory, MiB, that is allowed between two thirds of a run: the allocator's own variation."""
+USUAL_PERCENT = 95.0
+OWN_SHARE = 0.5
+"""A missed deadline is our own code's where the loop used more processor time than usual, by this share of it."""
+ALLOWED_SHARE = 1e-4
+"""Allowed share of all cycles: a virtual PC's host takes time unseen, which looks like our own processor time."""
+LEAST_S = 90.0
+"""Memory is judged once the loop's cycles add up to this time, s: until then every program fills its own pools. The
+clock does not count, as a busy PC takes longer for the same cycles."""
+PROC = Path("/proc")
+UNITS = {"memory": "MiB", "files": "", "threads": ""}
+
+
+@dataclass(frozen=True)
+class TimeStretch:
+    """Times of the loop's process between two looks.
+
+    Attributes:
+        cycles, misses: of the loop.
+        cpu_ns, waited_ns: of its thread: on a processor, and ready but without one.
+        workers_waited_ns: the same of its other threads, which may hold the interpreter's lock meanwhile.
+        stolen_ns: time that the host took from this virtual PC, of all processors, in steps of 10 ms; the kernel counts
+            it as the thread's own time where it hits one.
+    """
+
+    cycles: int
+    misses: int
+    cpu_ns: int
+    waited_ns: int
+    workers_waited_ns: int
+    stolen_ns: int
+
+    @property
+    def own_ns(self) -> int:
+        """Processor time of the loop's thread without the host's."""
+        return max(0, self.cpu_ns - self.stolen_ns)
+
+
+@dataclass
+class ResourceSeries:
+    """One figure of one process over time, in eight bytes a look: the record of memory must not grow itself."""
+
+    values: "array[float]" = field(default_factory=lambda: array("d"))
+
+    def thirds(self) -> tuple[float, float, float]:
+        """Largest value of each third of the run."""
+        parts = np.array_split(np.array(self.values), 3)
+        first, middle, last = (float(p.max()) if len(p) else 0.0 for p in parts)
+        return first, middle, last
+
+
+class Resources:
+    """Records the daemon's two processes: the supervisor, which is this one, and the loop.
+
+    Memory is that of the process alone (RssAnon): the ring and mapped files are not counted.
+    """
+
+    def __init__(self) -> None:
+        self._series: dict[tuple[str, str], ResourceSeries] = {}
+        self._next_s = 0.0
+        self._loop: int | None = None
+        self._before: tuple[int, int, int, int, int, int] | None = None
+        self._lost: list[TimeStretch] = []
+        self._cycles = 0
+        self._cpu, self._workers = Histogram(), Histogram()
+
+    def look(self, status: Status) -> None:
+        """Record the present figures; memory, files and threads once a second."""
+        if self._loop is None:
+            self._loop = next((p.pid for p in multiprocessing.active_children() if p.name == LOOP), None)
+        self._look_at_time(status)
+        if status.time_s < self._next_s:
+            return
+        self._next_s = status.time_s + PERIOD_S
+        for name, pid in (("supervisor", os.getpid()), ("loop", self._loop)):
+            for what, value in _figures(pid).items():
+                self._series.setdefault((name, what), ResourceSeries()).values.append(value)
+
+    def figures(self) -> list[Resource]:
+        """Every figure, in the first, the second and the last third of the run."""
+        return [
+            Resource(process, what, UNITS[what], *series.thirds(), flat=_flat(what, series))
+            for (process, what), series in self._series.items()
+        ]
+
+    def deadlines(self, period_ns: float) -> Deadlines:
+        """Missed deadlines, and how many of them the loop's own code may have cost."""
+        usual_us = self._cpu.percentile_us(USUAL_PERCENT)
+        usual_wait_us = self._workers.percentile_us(USUAL_PERCENT)
+        lost, own, behind, away = 0, 0, 0, 0
+        for step in self._lost:
+            lost += step.misses
+            enough_ns = OWN_SHARE * period_ns * step.misses
+            if step.own_ns - usual_us * 1e3 * step.cycles > enough_ns:
+                own += step.misses
+            elif step.stolen_ns > 0 or step.waited_ns > enough_ns:
+                away += step.misses
+            elif step.workers_waited_ns - usual_wait_us * 1e3 * step.cycles > enough_ns:
+                behind += step.misses
+        return Deadlines(lost, own, away, behind, usual_us)
+
+    def checks(self, period_ns: float, *, judged: bool = True) -> list[Check]:
+        """Requirements; on a PC that runs other programs, too, missed deadlines are reported but not judged."""
+        out = []
+        for what in UNITS:
+            mine = [r for r in self.figures() if r.what == what]
+            text = "; ".join(f"{r.process} {r.middle:.4g} then {r.last:.4g} {r.unit}".strip() for r in mine)
+            long_enough = what != "memory" or self._cycles * period_ns >= LEAST_S * 1e9
+            words = text if long_enough else f"not judged in less than {LEAST_S:.0f} s of cycles: {text}"
+            out.append(Check(f"{what} flat", not long_enough or all(r.flat for r in mine), words))
+        return [*out, self._deadline_check(period_ns, judged)]
+
+    def _deadline_check(self, period_ns: float, judged: bool) -> Check:
+        lost, cycles = self.deadlines(period_ns), int(self._cycles)
+        ours = lost.own + lost.behind_worker
+        text = (
+            f"{lost.lost} lost: in {lost.own} the loop itself used more processor time than usual, in "
+            f"{lost.behind_worker} one of its own threads was kept off the processor; allowed 1 in "
+            f"{1.0 / ALLOWED_SHARE:.0f} of {cycles} cycles"
+        )
+        return Check("no deadline lost to our own code", ours <= ALLOWED_SHARE * cycles, text, judged)
+
+    def _look_at_time(self, status: Status) -> None:
+        """Record the processor time of the loop's thread since the last look, and its wait for a processor."""
+        if self._loop is None:
+            return
+        try:
+            threads = {int(t.name): _times(t) for t in (PROC / str(self._loop) / "task").iterdir()}
+        except (OSError, ValueError):  # the process is just ending
+            return
+        cpu_ns, waited_ns = threads.pop(self._loop, (0, 0))
+        workers_ns = sum(waited for _, waited in threads.values())
+        now = (status.cycles, status.misses, cpu_ns, waited_ns, workers_ns, _stolen_ns())
+        if self._before is None:
+            self._before = now
+        if now[0] == self._before[0]:
+            return
+        step = TimeStretch(*(new - old for new, old in zip(now, self._before, strict=True)))
+        self._before = now
+        self._cycles += step.cycles
+        self._cpu.add(step.cpu_ns // step.cycles)
+        self._workers.add(step.workers_waited_ns // step.cycles)
+        if step.misses:
+            self._lost.append(step)
+
+
+def _stolen_ns() -> int:
+    """Time, ns, that the host took from this PC since its start, of all processors; 0 where that is unknown."""
+    words = (PROC / "stat").read_text().split(maxsplit=9)
+    return int(words[8]) * 1_000_000_000 // os.sysconf("SC_CLK_TCK")
+
+
+def _times(thread: Path) -> tuple[int, int]:
+    """Times on a processor, and ready but without one, ns."""
+    cpu_ns, waited_ns, _ = (thread / "schedstat").read_text().split()
+    return int(cpu_ns), int(waited_ns)
+
+
+def _figures(pid: int | None) -> dict[str, float]:
+    """Figures of one process; empty where it has ended."""
+    if pid is None:
+        return {}
+    folder = PROC / str(pid)
+    try:
+        lines = (folder / "status").read_text().splitlines()
+        files = sum(1 for _ in (folder / "fd").iterdir())
+    except OSError:
+        return {}
+    words = {name: value.split()[0] for name, _, value in (line.partition(":") for line in lines) if value.split()}
+    return {"memory": int(words["RssAnon"]) / 1024.0, "files": files, "threads": int(words["Threads"])}
+
+
+def _flat(what: str, series: ResourceSeries) -> bool:
+    """Is it no larger in the last third than in the second?"""
+    _, middle, last = series.thirds()
+    return last <= middle + (MEMORY_SLACK if what == "memory" else 0.0)
+
 
 RECOVER_S = 8.0
 """The run goes on for this time, s, after the last fault."""

@@ -15,7 +15,7 @@ from rtec.loop.run_file import RunFile, load_setup
 from rtec.machine import load_machine
 from rtec.tomlfile import nearest, read_toml, validated
 from rtec_drivers.box.gateware import Chip
-from rtec_drivers.hil.catalogue import BUS_OF_DRIVER, Bus
+from rtec_drivers.hil.faults import BUS_OF_DRIVER, Bus
 from rtec_drivers.sim import SimOptions
 
 SENSED, TRACK = "sensed", "track.npz"

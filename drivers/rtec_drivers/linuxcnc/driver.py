@@ -16,7 +16,7 @@ from rtec.quantities import MicrometresPositive, SecondsPositive
 from rtec.tomlfile import Strict
 from rtec_drivers.linuxcnc.link import BridgeHello, BridgeLink, HalState
 from rtec_drivers.reopen import Reopener
-from rtec_drivers.stuck import StuckWatch
+from rtec_drivers.temperatures import StuckWatch
 
 if TYPE_CHECKING:
     from rtec_drivers.linuxcnc.adopt import AdoptedMachine

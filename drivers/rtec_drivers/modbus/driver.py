@@ -1,8 +1,11 @@
-"""Temperatures over Modbus RTU and TCP, from modules with a shipped register map or one written in the run file."""
+"""Temperatures over Modbus RTU and TCP, from modules with a shipped register map or one written in the run file.
 
-from collections.abc import Mapping
+A scan for slaves and their registers uses functions 3 and 4 only, which read.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +16,201 @@ from rtec.loop.clock import Clock
 from rtec.loop.ports import Scanner
 from rtec.machine import Machine
 from rtec.tomlfile import Strict, nearest, validated
+from rtec.wording import counted
 from rtec_drivers.byte_line import ByteLine, way_of
-from rtec_drivers.link_worker import NS, Backoff, Worker
+from rtec_drivers.modbus.frame import (
+    HOLDING,
+    INPUT,
+    Exchange,
+    ModbusAnswer,
+    ModbusLineOptions,
+    ModbusRequest,
+    frames_of_slaves,
+)
 from rtec_drivers.modbus.map import Register, blocks_of, load_profile
 from rtec_drivers.modbus.poll import Poller, Slave
-from rtec_drivers.modbus.scan import ModbusScanner
-from rtec_drivers.modbus.way import ModbusLineOptions
-from rtec_drivers.thermocouple import TemperatureReadings
+from rtec_drivers.reopen import NS, Backoff, Worker
+from rtec_drivers.temperatures import TemperatureReadings, in_room, room_high_word
+
+NUMBERS: Final = range(1, 248)
+TIMEOUT_NS: Final = NS // 10
+"""Wait for the first answer; modules answer within 50 ms, and a later one is recognised when its answer comes."""
+PATIENT_NS: Final = 3 * NS // 10
+TRIES: Final = 2
+"""A request may be lost; and libmodbus takes the one after a request to an absent slave for that slave's answer."""
+REGISTERS: Final = 128
+BLOCK: Final = 32
+UNKNOWN_FUNCTION: Final = 1
+FAILED, NO_WAY, NO_ANSWER = 4, 10, 11
+"""Errors by which a gateway reports that a slave does not exist; pymodbus' server sends FAILED."""
+SLAVE_NS: Final = 5 * NS
+"""Longest time for its registers of one kind."""
+NAMES: Final = {INPUT: "input", HOLDING: "holding"}
+
+
+class ModbusScanner:
+    """Scans a Modbus line.
+
+    Args:
+        options: the line.
+        clock: clock of the deadlines.
+        numbers: numbers of the slaves to ask; None: all possible ones.
+
+    Attributes:
+        duration: duration of the search, in words.
+        slaves: numbers of the slaves that answered.
+    """
+
+    def __init__(self, options: ModbusLineOptions, clock: Clock, numbers: Sequence[int] | None = None) -> None:
+        self.slaves: list[int] = []
+        numbers = NUMBERS if numbers is None else numbers
+        ask_s, look_s = len(numbers) * TRIES * TIMEOUT_NS / NS, len(NAMES) * SLAVE_NS // NS
+        self.duration = f"up to {ask_s:.0f} s, and up to {look_s} s more for each slave that answers"
+        self._options, self._clock, self._numbers = options, clock, numbers
+        self._connect: Callable[[], ByteLine]
+        self._connect, _ = way_of(options.serial, options.tcp, clock)
+        self._line: ByteLine | None = None
+        self._looked_at = 0
+        self._exchange: Exchange = options.exchange(clock, clock.sleep_until_ns)
+        self._blocks: list[ModbusRequest] = []
+        self._words: dict[tuple[int, int, int], int] = {}
+        self._places: dict[str, tuple[int, Register]] = {}
+
+    def __enter__(self) -> Self:
+        """Open the line.
+
+        Raises:
+            DriverUnavailable: it cannot be opened.
+        """
+        self._line = self._connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close the line."""
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def search(self) -> Iterator[tuple[float, str]]:
+        """Ask every number; read the registers of a slave as soon as it answers."""
+        numbers = self._numbers
+        if self._whatever_the_number():
+            numbers = numbers[:1]
+            yield 0.0, f"the same device answers to every number: it is taken as slave {numbers[0]}"
+        for k, number in enumerate(numbers):
+            if self._is_there(number) and number not in self.slaves:
+                self.slaves.append(number)
+            for slave in self.slaves[self._looked_at :]:  # one with a lower number may have answered late
+                yield from ((k / len(numbers), "") for _ in self._look_at(slave))
+                self._looked_at += 1
+                yield (k + 1) / len(numbers), self._about(slave)
+            yield (k + 1) / len(numbers), ""
+
+    def read(self) -> dict[str, float]:
+        """Numbers of all existing registers; those that do not answer now keep their last one."""
+        for request in self._blocks:
+            self._take(request, self._ask(request, PATIENT_NS))
+        return {place: self._number(*where) for place, where in self._places.items()}
+
+    def proposed(self, names: Sequence[str]) -> dict[str, str]:
+        """In order, the registers that may hold a room's temperature."""
+        could_be = [p for p, (n, r) in self._places.items() if in_room(self._number(n, r), r.type == "float32")]
+        return dict(zip(names, could_be, strict=False)) if len(could_be) >= len(names) else {}
+
+    def table(self, places: Mapping[str, str], unit: float) -> dict[str, Any]:
+        """`slave`, with the registers."""
+        slaves: dict[str, dict[str, Any]] = {}
+        for name, place in places.items():
+            number, register = self._places[place]
+            table = slaves.setdefault(f"slave_{number}", {"id": number, "register": {}})
+            keys = register.model_dump(include={"address", "function", "type"}) | {"scale": unit}
+            table["register"][name] = keys | ({"word_order": "low"} if register.word_order == "low" else {})
+        return {"slave": slaves}
+
+    def _whatever_the_number(self) -> bool:
+        """Does a device on TCP ignore the slave's number? Many do: the connection leads to only one."""
+        tcp, last = self._options.tcp, self._numbers[-3:]
+        return tcp is not None and not tcp.rtu and len(last) == 3 and all(self._is_there(n) for n in last)
+
+    def _is_there(self, number: int) -> bool:
+        if number in self.slaves:
+            return True
+        for _ in range(TRIES):
+            answer = self._ask(ModbusRequest(number, INPUT, 0, 1), TIMEOUT_NS)
+            if answer is not None and answer.error == FAILED:
+                answer = self._ask(ModbusRequest(number, HOLDING, 0, 1), TIMEOUT_NS)
+            if answer is not None:
+                return answer.error not in (FAILED, NO_WAY, NO_ANSWER)
+        return number in self.slaves
+
+    def _look_at(self, number: int) -> Iterator[None]:
+        """Read the slave's registers; one step a request."""
+        for function in NAMES:
+            todo = [ModbusRequest(number, function, first, BLOCK) for first in range(0, REGISTERS, BLOCK)]
+            end_ns = self._clock.now_ns() + SLAVE_NS
+            while todo and self._clock.now_ns() < end_ns:
+                request = todo.pop(0)
+                answer = self._ask(request, PATIENT_NS) or self._ask(
+                    request, PATIENT_NS
+                )  # a busy line loses a request at times
+                if answer is None or answer.error == UNKNOWN_FUNCTION:
+                    break
+                if not answer.error:
+                    self._blocks.append(request)
+                    self._take(request, answer)
+                elif request.count > 1:
+                    half = request.count // 2
+                    halves = (request.address, half), (request.address + half, request.count - half)
+                    todo[:0] = [ModbusRequest(number, function, first, count) for first, count in halves]
+                yield
+            self._name(number, function)
+
+    def _name(self, slave: int, function: int) -> None:
+        """Name the place of each number: pairs of registers that may be a room's temperature as a float; integers."""
+        there = {a: word for (s, f, a), word in sorted(self._words.items()) if (s, f) == (slave, function)}
+        floats = dict(float_pairs(there))
+        within = {a + 1 for a in floats}
+        for address in (a for a in there if a not in within):
+            order = floats.get(address)
+            keys = {"type": "float32", "word_order": order} if order else {"type": "int16"}
+            register = Register.model_validate({"address": address, "function": NAMES[function], **keys})
+            kind = {"high": "float", "low": "float, low word first"}.get(order or "", "")
+            words = f"registers {address} and {address + 1} ({kind})" if order else f"register {address}"
+            self._places[f"slave {slave}, {NAMES[function]} {words}"] = (slave, register)
+
+    def _number(self, slave: int, register: Register) -> float:
+        function = next(code for code, name in NAMES.items() if name == register.function)
+        return register.number(self._words[slave, function, register.address + k] for k in range(register.words))
+
+    def _take(self, request: ModbusRequest, answer: ModbusAnswer | None) -> None:
+        for k, word in enumerate(answer.registers if answer is not None else ()):
+            self._words[request.slave, request.function, request.address + k] = word
+
+    def _ask(self, request: ModbusRequest, timeout_ns: int) -> ModbusAnswer | None:
+        if self._line is None:
+            return None
+        answer, data = self._exchange.ask(self._line, request, self._clock.now_ns() + timeout_ns)
+        if not self._exchange.numbered:
+            late = {slave for slave, _ in frames_of_slaves(data)} & set(self._numbers)
+            self.slaves += sorted(late - {*self.slaves, request.slave})
+        return answer
+
+    def _about(self, number: int) -> str:
+        kinds = [(NAMES[f], sum((s, g) == (number, f) for s, g, _ in self._words)) for f in NAMES]
+        what = " and ".join(f"{counted(count, f'{name} register')}" for name, count in kinds if count)
+        return f"slave {number} answers: {what or f'no registers below {REGISTERS}'}"
+
+
+def float_pairs(words: Mapping[int, int]) -> Iterator[tuple[int, str]]:
+    """First address and word order of registers that may be a room's temperature as a float.
+
+    The high word alone shows that. The data do not show its low word; numbers of two registers are taken to begin at
+    even addresses.
+    """
+    for address, word in words.items():
+        first = address - address % 2
+        if first in words and first + 1 in words and room_high_word(word):
+            yield first, "high" if address == first else "low"
 
 
 class SlaveOptions(Strict):

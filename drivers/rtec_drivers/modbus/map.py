@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from rtec.errors import ConfigError
 from rtec.tomlfile import Strict, nearest, read_toml, validated
 from rtec_drivers.modbus.frame import HOLDING, INPUT, MAX_REGISTERS, ModbusRequest
-from rtec_drivers.thermocouple import Conversion, open_code_faults
+from rtec_drivers.temperatures import Conversion, open_code_faults
 
 LAST_ADDRESS = 65535
 NumberType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64"]

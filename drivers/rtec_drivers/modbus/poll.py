@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import Clock
 from rtec_drivers.byte_line import ByteLine
-from rtec_drivers.link_worker import NS, Backoff, Worker
 from rtec_drivers.modbus.frame import ERRORS, LONGEST_NOISE, Exchange, frames_of_slaves, why_not
 from rtec_drivers.modbus.map import Block
-from rtec_drivers.thermocouple import TemperatureReadings
+from rtec_drivers.reopen import NS, Backoff, Worker
+from rtec_drivers.temperatures import TemperatureReadings
 
 STARVED_NS = 5 * NS
 LONGEST_LATE_NS = 10 * NS

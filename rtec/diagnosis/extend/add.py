@@ -22,7 +22,7 @@ from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
 from rtec.diagnosis.wrong_scale import check_scales
 from rtec.effects import Effect, all_effects, effect_class
-from rtec.effects.trial import check_effect
+from rtec.effects.registry import check_effect
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.floor import Unit
@@ -144,7 +144,7 @@ class Added(Result):
         own_kept: number of effects of the model, from the first on, that have kept their numbers.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.additions:added_page"
+    page_maker: ClassVar[str] = "rtec.report.history:added_page"
 
     model: Model
     labels: tuple[str, ...]

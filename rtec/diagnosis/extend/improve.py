@@ -77,7 +77,7 @@ class Improved(Result):
         cancelling: effects of which these readings determine only the sum, where that refused the last addition.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.additions:improved_page"
+    page_maker: ClassVar[str] = "rtec.report.history:improved_page"
 
     model: Model
     steps: tuple[Added, ...]

@@ -73,7 +73,7 @@ def extra_tests(machine: Machine, given: Sequence[Measurement] = ()) -> list[Ext
 
 
 def _probes() -> dict[str, Any]:
-    from rtec.sim.campaign.request import DRIFT_PROBES
+    from rtec.sim.campaign.settings import DRIFT_PROBES
 
     return {"probe": dict(DRIFT_PROBES)}
 

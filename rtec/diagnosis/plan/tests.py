@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rtec.effects import Effect, effect_class
-from rtec.effects.trial import instances
+from rtec.effects.registry import instances
 from rtec.errors import ConfigError
 from rtec.estimation.candidates import surroundings, visible
 from rtec.estimation.readings import read

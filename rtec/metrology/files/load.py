@@ -2,25 +2,199 @@
 
 Nothing is repaired silently: all faults are reported together, by row and with a remedy. What the user accepts is
 under `[table]` of the TOML, or given as options, and is listed in the measurement's notes.
+
+A column of an axis' motion that the table lacks follows from the others: the direction of approach, and the velocity
+where it was read in motion. Writing gives every number back as it was, bit for bit.
 """
 
 import hashlib
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomli_w
+from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.machine import Machine
+from rtec.files import whole, write_text
+from rtec.machine import Axis, Machine
 from rtec.metrology.files.checks import CheckedRows, check_order, remarks
 from rtec.metrology.files.columns import check_columns, on_circle, still_right
-from rtec.metrology.files.directions import approached, on_the_run
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.files.save import save_measurement
 from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
-from rtec.metrology.files.toml import Leniency, find_files, read_measurement_toml
+from rtec.metrology.files.toml import TABLES, Leniency, find_files, read_measurement_toml
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.measurement import Measurement
+from rtec.tomlfile import nearest
+
+Column = NDArray[np.float64] | NDArray[np.int64]
+
+
+def save_measurement(measurement: Measurement, path: Path) -> Path:
+    """Write table and TOML.
+
+    Args:
+        measurement: what to write.
+        path: NAME.csv or NAME.parquet; the TOML is written beside it.
+
+    Returns:
+        Path of the table.
+
+    Raises:
+        MeasurementError: a channel has no column, a value cannot be written, or the folder cannot be created.
+    """
+    if path.suffix not in TABLES:
+        raise MeasurementError(f"{path}: a measurement is written as NAME.csv or NAME.parquet")
+    of_channel = {channel: column for column, channel in measurement.machine.columns.items()}
+    columns: dict[str, Column] = {"run": measurement.run, "time_s": measurement.time_s}
+    for channel, values in measurement.channels.items():
+        if channel not in of_channel:
+            raise MeasurementError(f"{path}: channel {channel!r} has no column{nearest(channel, of_channel)}")
+        columns[of_channel[channel]] = values
+    columns |= measurement.readings
+    instrument = measurement.instrument
+    head = {
+        "instrument": instrument.name,
+        "axis": instrument.axis,
+        "component": instrument.component,
+        "machine": measurement.machine.name,
+        "notes": list(measurement.notes) or None,
+    }
+    write_files(path, columns, head, instrument.setup.model_dump(mode="json", exclude_none=True))
+    return path
+
+
+def write_files(
+    path: Path,
+    columns: Mapping[str, Column],
+    head: Mapping[str, Any],
+    setup: Mapping[str, Any],
+    accepted: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a table and the TOML beside it; each appears whole or not at all.
+
+    Args:
+        path: path of the table; its suffix decides the format.
+        columns: (n,) each; NaN becomes an empty cell.
+        head: `[measurement]`; values that are None are omitted.
+        setup: `[setup]`.
+        accepted: `[table]`; omitted where None.
+    """
+    for name, values in columns.items():
+        if np.isinf(values).any():
+            raise MeasurementError(f"{path}: {name} is infinite in row {int(np.argmax(np.isinf(values))) + 1}")
+    tables = {"measurement": head, "setup": setup, "table": accepted or {}}
+    content = {name: {k: v for k, v in table.items() if v is not None} for name, table in tables.items()}
+    content = {name: table for name, table in content.items() if table or name != "table"}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise MeasurementError(f"{path}: cannot be written: {e.strerror}") from e
+    _write_table(path, columns)
+    write_text(tomli_w.dumps(content), path.with_name(path.stem + ".toml"), MeasurementError)
+
+
+def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    with whole(path, MeasurementError) as out:
+        if path.suffix == ".csv":
+            # Names of columns are plain words; arrow would put them in quotes.
+            out.write((",".join(columns) + "\n").encode())
+            csv.write_csv(table, out, csv.WriteOptions(include_header=False))
+        else:
+            parquet.write_table(table, out, compression="zstd")
+
+
+Floats = NDArray[np.float64]
+LIKE, MOST = 0.05, 0.8
+"""An axis moved at its feed if its speed agrees within the first share, in the second share of readings."""
+LEAST = 3
+"""Fewest targets between two ends whose number of readings shows an order."""
+
+
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
+def on_the_run(
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], time_s: Floats
+) -> dict[str, Floats]:
+    """Velocity, by channel, of an axis that was read in motion: its positions and times agree with its feed.
+
+    An axis that stops at its targets takes longer from one to the next than at its feed.
+
+    Returns:
+        mm/s with the sign of the motion, (n,); empty where the feed was not recorded or a velocity was.
+    """
+    moving = _moving(machine, channels)
+    if not instrument.at_rest or "feed_mm_min" not in channels or len(moving) != 1:
+        return {}
+    if moving[0].velocity_channel in channels:
+        return {}
+    feed = np.abs(channels["feed_mm_min"])
+    position = channels[moving[0].channel]
+    way = np.sign(np.diff(position))
+    # Ways: consecutive readings in one direction at one feed. The axis may have been at rest before the first of them.
+    new = np.concatenate([[True], (way[1:] != way[:-1]) | (feed[2:] != feed[1:-1]), [False]])
+    out, like = np.zeros(len(feed)), 0
+    edges = [*np.flatnonzero(new).tolist(), len(feed) - 1]
+    for a, b in itertools.pairwise(edges):
+        first = a + 1 if a else 0
+        lasted, went = time_s[b] - time_s[first], abs(position[b] - position[first])
+        if lasted > 0.0 and abs(60.0 * went - lasted * feed[b]) < LIKE * lasted * feed[b]:
+            like += b - first
+            out[first if out[a] else a : b + 1] = way[a] * feed[b] / 60.0
+    return {moving[0].velocity_channel: out} if like >= max(LEAST, MOST * (len(feed) - 2 * len(edges))) else {}
+
+
+def _moving(machine: Machine, channels: Mapping[str, Floats]) -> list[Axis]:
+    return [a for a in machine.axes if a.channel in channels and np.ptp(channels[a.channel]) > a.dead_band_mm]
+
+
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
+def approached(instrument: Instrument, machine: Machine, channels: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Directions of approach for an instrument that reads targets at rest, by direction channel.
+
+    Between two readings of the target at the end of a way the axis has gone past it and returned (ISO 230-2). An axis
+    that jumps back to repeat the same way has gone past the first target. The positions alone show neither: by them the
+    axis has not moved, or moved the other way. Both cases are recognised where each end is read exactly twice as often
+    as a target between them, or where every way has the same direction. Any other order gives no result.
+
+    Returns:
+        -1 or +1 for each reading, (n,), of each such axis without a direction or a velocity of its own.
+    """
+    moving = _moving(machine, channels)
+    if not instrument.at_rest or len(moving) != 1:
+        return {}
+    axis = moving[0]
+    if {axis.direction_channel, axis.velocity_channel} & set(channels):
+        return {}
+    found = _approach(axis, channels[axis.channel])
+    return {} if found is None else {axis.direction_channel: found}
+
+
+def _approach(axis: Axis, position_mm: Floats) -> Floats | None:
+    first = np.flatnonzero(np.append(True, np.abs(np.diff(position_mm)) > axis.dead_band_mm))
+    count = np.diff(np.append(first, len(position_mm)))
+    way = np.sign(np.diff(position_mm[first]))
+    turns = np.flatnonzero(way[1:] != way[:-1]) + 1  # stops at which the axis reverses
+    between = np.setdiff1d(np.arange(1, len(first) - 1), turns)
+    if len(between) < LEAST or len(set(count[between])) > 1:
+        return None
+    once = int(count[between[0]])
+    if len(turns) and np.all(count[turns] == 2 * once):
+        arriving = np.append(way[0], way)
+        out = np.repeat(arriving, count)
+        for stop in turns:
+            out[first[stop] + once : first[stop] + 2 * once] = way[stop]
+        return out
+    side = way[between[0]]
+    if np.all(count == once) and np.all(way[between] == side) and np.all(way[between - 1] == side):
+        return np.full(len(position_mm), side)
+    return None
+
 
 __all__ = ["Leniency", "load_measurement", "load_measurements", "save_measurement"]
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.limits import check_size
+from rtec.files import check_size
 from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.toml import Leniency
 

@@ -1,4 +1,6 @@
-"""Comparing paths on a grid plate: set-ups (roll [XT 3], cross-talk [XT 4]), directions [XT 5], feeds.
+"""Evaluation of grid-encoder set-ups: each alone, and paths compared with each other.
+
+Compared are set-ups (roll [XT 3], cross-talk [XT 4]), directions [XT 5] and feeds.
 
 A difference between two paths of one set-up is free of the plate's zero, rotation and own errors, which are the same in
 both. Between set-ups the plate was moved, so that only squareness is compared, which does not depend on its rotation.
@@ -6,15 +8,19 @@ both. Between set-ups the plate was moved, so that only squareness is compared, 
 An item's `chance` is its false-positive rate; `certain` corrects for all items of a list together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from rtec.metrology.grid.paths import SAME_MM, Edge
+from rtec.errors import MeasurementError
+from rtec.metrology.grid.paths import SAME_MM, TRIM_MM, Edge
 from rtec.metrology.grid.setup import (
     COVERAGE,
     GridSetup,
     Item,
+    analyse,
     angle_moving,
     arm_on,
     at_corner,
@@ -25,6 +31,8 @@ from rtec.metrology.grid.setup import (
     squareness_of,
 )
 from rtec.metrology.instruments.ball_bar import axis_along
+from rtec.metrology.measurement import Measurement
+from rtec.result import Result
 
 SURE = 0.02
 BESIDE = 0.05
@@ -255,3 +263,77 @@ def _chance(value: float, se: float) -> float:
     from scipy.special import erfc
 
     return float(erfc(abs(value) / max(se, 1e-15) / np.sqrt(2.0)))
+
+
+@dataclass(frozen=True)
+class GridComparison:
+    """One comparison: heading, what was compared, and the items."""
+
+    heading: str
+    items: tuple[Item, ...]
+
+
+@dataclass(frozen=True)
+class GridEvaluation(Result):
+    """Result of the evaluation of some set-ups.
+
+    Attributes:
+        setups: the set-ups, each with its own report.
+        comparisons: between directions, feeds, and set-ups.
+        found: significant items.
+        magnification: magnification of the figures; None: a round number for each.
+    """
+
+    page_maker: ClassVar[str] = "rtec.report.grid:grid_page"
+
+    setups: tuple[GridSetup, ...]
+    comparisons: tuple[GridComparison, ...]
+    found: tuple[Item, ...]
+    magnification: float | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return {
+            "setups": [
+                {"name": s.name, "plane": s.setup.plane, "origin_mm": s.setup.origin_mm, "corner_mm": s.corner_mm,
+                 "pieces": len(s.edges), "items": s.items}
+                for s in self.setups
+            ],
+            "not_compared": not_compared(self.setups),
+            "comparisons": [
+                {"heading": c.heading, "items": c.items, "certain": [i.name for i in c.items if i in self.found]}
+                for c in self.comparisons
+            ],
+        }  # fmt: skip
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """Every error of each set-up, then every difference, each with its significance."""
+        own = [{"of": s.name, **asdict(i), "certain": None} for s in self.setups for i in s.items]
+        compared = [(c.heading, i) for c in self.comparisons for i in c.items]
+        return own + [{"of": heading, **asdict(i), "certain": i in self.found} for heading, i in compared]
+
+
+def evaluate(
+    measurements: Sequence[Measurement],
+    corner_mm: tuple[float, float] | None = None,
+    trim_mm: float = TRIM_MM,
+    magnification: float | None = None,
+) -> GridEvaluation:
+    """Analyse set-ups and compare them.
+
+    Raises:
+        MeasurementError: as `analyse`, or set-ups on different machines.
+    """
+    setups = tuple(analyse(m, corner_mm, trim_mm) for m in measurements)
+    for other in setups[1:]:
+        if other.machine.hash != setups[0].machine.hash:
+            raise MeasurementError(f"{other.name} and {setups[0].name} were made on different machines")
+    compared = []
+    for setup in setups:
+        compared.append(GridComparison(f"{setup.name}: direction", directions(setup)))
+        compared.append(GridComparison(f"{setup.name}: feed", feeds(setup)))
+    for i, one in enumerate(setups):
+        compared += [GridComparison(f"{one.name} minus {two.name}", places(one, two)) for two in setups[i + 1 :]]
+    kept = tuple(c for c in compared if c.items)
+    found = certain([item for c in kept for item in c.items])
+    return GridEvaluation(setups, kept, found, magnification)

@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtec.errors import MeasurementError
-from rtec.frames import Kind, frame
 from rtec.machine import Machine
-from rtec.metrology.files.save import Column as Values
-from rtec.metrology.files.save import write_files
+from rtec.metrology.files.load import Column as Values
+from rtec.metrology.files.load import write_files
 from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
@@ -23,7 +22,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
 from rtec.metrology.readers.base import ForeignTable
 from rtec.metrology.units import convert, unit_of_column
-from rtec.result import Result
+from rtec.result import Kind, Result, frame
 from rtec.tomlfile import nearest
 
 
@@ -41,7 +40,7 @@ class Imported(Result):
         map: path of the written map, where it was proposed.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.measurement:imported_page"
+    page_maker: ClassVar[str] = "rtec.report.overview:imported_page"
 
     columns: dict[str, Values] = field(repr=False)
     reader: str

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.metrology.importing.map import Run, Time
-from rtec.metrology.readers.base import Floats, ForeignTable, Ints
-from rtec.metrology.readers.times import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, parsed
+from rtec.metrology.readers.base import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, Floats, ForeignTable, Ints, parsed
 from rtec.metrology.units import convert
 from rtec.tomlfile import nearest
 

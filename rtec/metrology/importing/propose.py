@@ -19,6 +19,7 @@ import numpy as np
 import tomli_w
 
 from rtec.errors import MeasurementError
+from rtec.files import write_text
 from rtec.machine import Machine
 from rtec.metrology.importing.apply import chosen
 from rtec.metrology.importing.map import ImportMap
@@ -33,7 +34,6 @@ from rtec.metrology.readers.layout import Guess, layout
 from rtec.metrology.readers.registry import READERS
 from rtec.text import clean
 from rtec.tomlfile import nearest, validated
-from rtec.wholefile import write_text
 
 FIRST = 4
 """Number of values that are shown of each column."""

@@ -20,8 +20,18 @@ from pydantic import Field
 
 from rtec.effects import State
 from rtec.machine import Axis, Machine
-from rtec.metrology.instruments.affine import ORIGIN, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, Instrument, InstrumentSetup, Ints, Nuisance, component_index
+from rtec.metrology.instruments.base import (
+    ORIGIN,
+    Floats,
+    Instrument,
+    InstrumentSetup,
+    Ints,
+    Nuisance,
+    Scope,
+    component_index,
+    point,
+    zero,
+)
 from rtec.quantities import Degrees, Millimetres, MillimetresPerMinute, MillimetresPositive, Vector
 
 Positive = Annotated[float, Field(gt=0)]

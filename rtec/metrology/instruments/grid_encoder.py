@@ -11,8 +11,18 @@ import numpy as np
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
+from rtec.metrology.instruments.base import (
+    ORIGIN,
+    AffineInstrument,
+    Floats,
+    InstrumentSetup,
+    Ints,
+    Letter,
+    Nuisance,
+    Scope,
+    point,
+    zero,
+)
 from rtec.quantities import MicrometresNotNegative, Vector
 
 

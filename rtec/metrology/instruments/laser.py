@@ -9,9 +9,13 @@ from dataclasses import dataclass
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import (
+from rtec.metrology.instruments.base import (
     ORIGIN,
     AffineInstrument,
+    Floats,
+    InstrumentSetup,
+    Ints,
+    Nuisance,
     Scope,
     Sign,
     Turn,
@@ -21,7 +25,6 @@ from rtec.metrology.instruments.affine import (
     turn,
     zero,
 )
-from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Millimetres, Vector
 from rtec.tomlfile import nearest
 

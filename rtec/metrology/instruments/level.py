@@ -7,8 +7,19 @@ import numpy as np
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import AffineInstrument, Letter, Scope, Sign, Turn, turn, zero
-from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
+from rtec.metrology.instruments.base import (
+    AffineInstrument,
+    Floats,
+    InstrumentSetup,
+    Ints,
+    Letter,
+    Nuisance,
+    Scope,
+    Sign,
+    Turn,
+    turn,
+    zero,
+)
 
 
 class LevelSetup(InstrumentSetup):

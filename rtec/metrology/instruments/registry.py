@@ -13,8 +13,7 @@ from rtec.metrology.instruments.level import Level
 from rtec.metrology.instruments.spindle_drift import SpindleDrift
 from rtec.metrology.instruments.squareness import SquarenessProbe
 from rtec.metrology.instruments.straightness import StraightnessProbe
-from rtec.metrology.instruments.tool_tip import ToolTip
-from rtec.metrology.instruments.work_piece import WorkPiece
+from rtec.metrology.instruments.tool_tip import ToolTip, WorkPiece
 from rtec.tomlfile import nearest, validated
 
 INSTRUMENTS: dict[str, type[Instrument]] = {

@@ -13,8 +13,19 @@ from pydantic import Field
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Sign, point, zero
-from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
+from rtec.metrology.instruments.base import (
+    ORIGIN,
+    AffineInstrument,
+    Floats,
+    InstrumentSetup,
+    Ints,
+    Letter,
+    Nuisance,
+    Scope,
+    Sign,
+    point,
+    zero,
+)
 from rtec.quantities import Vector
 from rtec.tomlfile import Strict
 

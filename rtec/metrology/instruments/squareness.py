@@ -11,9 +11,13 @@ import numpy as np
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import (
+from rtec.metrology.instruments.base import (
     ORIGIN,
     AffineInstrument,
+    Floats,
+    InstrumentSetup,
+    Ints,
+    Nuisance,
     Scope,
     component_itself,
     flipped,
@@ -21,7 +25,6 @@ from rtec.metrology.instruments.affine import (
     point,
     zero,
 )
-from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Vector, Whole
 from rtec.tomlfile import nearest
 

@@ -9,11 +9,15 @@ from dataclasses import dataclass
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import (
+from rtec.metrology.instruments.base import (
     ORIGIN,
     AffineInstrument,
     Degree,
+    Floats,
+    InstrumentSetup,
+    Ints,
     Letter,
+    Nuisance,
     Scope,
     Sign,
     flipped,
@@ -24,7 +28,6 @@ from rtec.metrology.instruments.affine import (
     slope,
     zero,
 )
-from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Vector, Whole
 
 

@@ -1,7 +1,8 @@
-"""The result of a reader, and the options that describe the file."""
+"""The result of a reader, the options that describe the file, and dates and times in the formats of other programs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from rtec.errors import MeasurementError
-from rtec.limits import check_size
+from rtec.files import check_size
 from rtec.metrology.files.table import look_over
 from rtec.quantities import Counts
 from rtec.tomlfile import Strict, nearest
@@ -160,3 +161,30 @@ def decoded(path: Path, encoding: str | None) -> tuple[str, tuple[str, ...]]:
     check_size(path, path.stat().st_size, EXPANSION, MeasurementError)
     with path.open(encoding=text.encoding, newline=None) as file:
         return file.read(), text.notes
+
+
+EPOCH_FILETIME = datetime(1601, 1, 1, tzinfo=UTC)
+EPOCH_UNIX = datetime(1970, 1, 1, tzinfo=UTC)
+EPOCH_EXCEL = datetime(1899, 12, 30, tzinfo=UTC)
+
+
+def filetime_text(ticks: int) -> str:
+    """A FILETIME (100 ns since 1601) as ISO text in UTC; the number itself where no calendar has it."""
+    try:
+        return (EPOCH_FILETIME + timedelta(microseconds=ticks // 10)).isoformat()
+    except OverflowError:
+        return f"FILETIME {ticks}"
+
+
+def parsed(text: str, pattern: str | None) -> datetime:
+    """Parse a date and time; local times are taken as UTC.
+
+    Args:
+        text: the text.
+        pattern: strptime pattern; None reads ISO 8601.
+
+    Raises:
+        ValueError: the text does not match.
+    """
+    moment = datetime.strptime(text, pattern) if pattern else datetime.fromisoformat(text)
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)

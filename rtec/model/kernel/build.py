@@ -17,9 +17,9 @@ from types import ModuleType
 
 from rtec import jit
 from rtec.errors import ModelError
+from rtec.files import write_text
 from rtec.jit import njit
 from rtec.version import __version__
-from rtec.wholefile import write_text
 
 HEADER = "import math\n\nfrom rtec.jit import njit\n"
 

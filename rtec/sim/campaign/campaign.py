@@ -12,17 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.frames import Kind
 from rtec.metrology.instruments.base import Instrument, Nuisance
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.result import Result
-from rtec.sim.campaign.cycle import Cycle, make_cycle
-from rtec.sim.campaign.noise import with_noise
-from rtec.sim.campaign.paths import make_path, readings_um
-from rtec.sim.campaign.protocol import Timeline, make_timeline, phases_of
+from rtec.result import Kind, Result
+from rtec.sim.campaign.cycle import Cycle, make_cycle, make_path, readings_um
+from rtec.sim.campaign.protocol import (
+    Timeline,
+    make_timeline,
+    phases_of,
+    sensor_readings_degc,
+    temperatures_degc,
+    with_noise,
+)
 from rtec.sim.campaign.settings import Settings
-from rtec.sim.campaign.thermal import sensor_readings_degc, temperatures_degc
 
 Floats = NDArray[np.float64]
 USUAL_NUISANCE = {"um": 5.0, "urad": 20.0, "um_per_m": 10.0, "um_per_m_degc": 0.95}
@@ -43,7 +46,7 @@ class Simulated(Result):
         phase: name of the phase of each row.
     """
 
-    page_maker: ClassVar[str] = "rtec.report.measurement:recorded_page"
+    page_maker: ClassVar[str] = "rtec.report.overview:recorded_page"
 
     measurement: Measurement
     components: Mapping[str, Floats] = field(repr=False)

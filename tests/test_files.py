@@ -1,0 +1,64 @@
+"""A file appears whole or not at all. Oracle: the folder."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from rtec.errors import ConfigError, ModelError
+from rtec.files import whole, write_text
+
+
+def test_it_takes_the_place_of_the_old_one_and_leaves_nothing_beside(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    write_text("old", file, ConfigError)
+    write_text("new µm", file, ConfigError)
+    assert file.read_text(encoding="utf-8") == "new µm"
+    assert list(tmp_path.iterdir()) == [file]
+    mask = os.umask(0o022)
+    os.umask(mask)
+    assert file.stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def test_what_ends_badly_changes_nothing(tmp_path: Path) -> None:
+    """An error of the writer comes through as it is; Ctrl-C too."""
+    file = tmp_path / "x.toml"
+    write_text("old", file, ConfigError)
+
+    def begin(fault: BaseException) -> None:
+        with whole(file, ConfigError) as out:
+            out.write(b"ne")
+            raise fault
+
+    for fault in (ValueError("no number"), KeyboardInterrupt()):
+        with pytest.raises(type(fault)):
+            begin(fault)
+    assert file.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_one_that_is_there_may_be_kept(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    write_text("old", file, ConfigError)
+    with pytest.raises(FileExistsError), whole(file, ConfigError, replace=False) as out:
+        out.write(b"new")
+    assert file.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize(("place", "why"), [("none/x.toml", "No such file"), ("file/x.toml", "Not a directory")])
+def test_a_folder_that_cannot_be_is_one_clear_message(tmp_path: Path, place: str, why: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ModelError, match=rf"x\.toml: cannot be written: {why}"):
+        write_text("x", tmp_path / place, ModelError)
+
+
+def test_many_may_write_one_name(tmp_path: Path) -> None:
+    """Each text is whole at any time; the last one stays."""
+    file = tmp_path / "x.toml"
+    texts = [letter * 100_000 for letter in "abcdefgh"]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda text: write_text(text, file, ConfigError), texts * 4))
+    assert file.read_text() in texts
+    assert list(tmp_path.iterdir()) == [file]
