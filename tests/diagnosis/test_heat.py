@@ -94,7 +94,11 @@ def test_simple_effects_come_before_a_pair_of_which_one_is_rich() -> None:
     """A plate with two bent lines and a squareness; a reversal with five numbers follows two of them at once."""
     trial = build("plates", "three_on_plate", 302)
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
-    assert {"straightness"} <= {m.fitted.effect.effect for m in d.together} <= {"straightness", "squareness", "parallelism"}
+    assert (
+        {"straightness"}
+        <= {m.fitted.effect.effect for m in d.together}
+        <= {"straightness", "squareness", "parallelism"}
+    )
     assert {"EYX", "EXY"} <= {m.fitted.effect.component for m in d.together}
 
 
