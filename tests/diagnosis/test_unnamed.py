@@ -1,5 +1,7 @@
 """What has no name in the catalogue. Oracle: what the benchmark's own physics hid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,3 +75,22 @@ def test_columns_of_several_shapes_are_those_of_each(shapes: list[Shape]) -> Non
     whole, widths = ground.block(named)
     assert np.array_equal(whole, np.concatenate([ground.columns(s) for s in named], axis=1))
     assert widths.tolist() == [ground.columns(s).shape[1] for s in named]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_heat_is_named_for_a_shape_of_place_and_load(seed: int) -> None:
+    """Oracle: the formula that was put in, |x| times the load squared, which grew while the machine warmed."""
+    rng = np.random.default_rng(seed)
+    cold = laser([], seed)
+    runs = np.unique(cold.run)
+    load_kg = (40.0 + 30.0 * np.arange(len(runs)) + rng.uniform(-60.0, 60.0, len(runs)))[cold.run - runs[0]].clip(0.0)
+    error = 6.0 * (np.abs(cold.channels["x"]) / 200.0) * (load_kg / 500.0) ** 2
+    m = replace(
+        cold,
+        channels={**cold.channels, "load_kg": load_kg},
+        readings={"reading_um": cold.readings["reading_um"] + error},
+    )
+    d = diagnose(Model(small_machine(), name="empty"), [m], draws=50)
+    heat = {c for c in m.channels if c.startswith("T_")}
+    named = [m.fitted.effect for m in d.together] or [f.effect for f in d.findings[:1] if f.accepted]
+    assert not any(heat & set(e.channels(m.machine)) for e in named), d.sentence
