@@ -1,6 +1,9 @@
 """What is not asserted: rivals of each of several effects, runs that differ, an instrument that warms up."""
 
+import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +14,7 @@ from rtec.bench.trials import Trial, build
 from rtec.diagnosis import words
 from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Member, label_of
+from rtec.diagnosis.search.answer import _Answer
 from rtec.diagnosis.search.confounded import alike, bent_part
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import effect_class
@@ -20,7 +24,7 @@ from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.model import FittedEffect, Model
 from rtec.sim.campaign.truth import effect_from_text
-from tests.support.diagnosis_examples import TABLE, laser
+from tests.support.diagnosis_examples import TABLE, laser, small_machine
 
 
 def _effect(name: str, **arguments: object):  # type: ignore[no-untyped-def]
@@ -144,3 +148,21 @@ def test_every_sensor_that_moves_as_the_named_one_does_is_a_rival() -> None:
     names = {d.findings[0].label, *(a.label for a in d.findings[0].confused_with)}
     assert names == {f"axis_expansion(EXX, X, {sensor})" for sensor in machine.sensor_names}
     assert all(name in d.sentence for name in names)
+
+
+def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign() -> None:
+    """Oracle: the rule; a late sensor was 13 000 to 1 likelier than the right one, at the same held-out error."""
+    shifts = [_effect("mount_expansion", component="EXX", sensor=s) for s in ("T_air", "T_bed")]
+    asked: Any = object.__new__(_Answer)
+    asked.readings = SimpleNamespace(machine=small_machine())
+    candidates = [SimpleNamespace(effect=e) for e in (*shifts, shifts[0])]
+    asked.s = SimpleNamespace(chain=(), prior_odds=3.0, candidates=candidates)
+
+    def fitted(number: int, log_evidence: float, drop: float) -> Any:
+        return SimpleNamespace(number=number, log_evidence=log_evidence, drop=drop, holds=True)
+
+    winner = fitted(0, 60.0, 0.982)
+    assert asked._disputes(winner, fitted(1, 60.0 - math.log(13_000.0), 0.981))
+    assert not asked._disputes(winner, fitted(1, 40.0, 0.981))
+    assert not asked._disputes(winner, fitted(1, 55.0, 0.95))
+    assert not asked._disputes(winner, fitted(2, 55.0, 0.981))  # the same sensor
