@@ -1,6 +1,7 @@
 """What people read uses the field's terms: help pages, texts in the code, README, docs. Oracle: the list of words."""
 
 import ast
+import functools
 import io
 import re
 import tokenize
@@ -46,10 +47,11 @@ def faults(text: str) -> list[str]:
 
 def literals(source: str) -> Iterator[str]:
     """Every text of a module but its docstrings: messages, headings, words of tables."""
-    tree = ast.parse(source)
-    docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.JoinedStr):
+    docs = set()
+    for node in ast.walk(ast.parse(source)):  # a statement before what it consists of
+        if isinstance(node, ast.Expr):
+            docs.add(id(node.value))
+        elif isinstance(node, ast.JoinedStr):
             yield "".join(str(v.value) if isinstance(v, ast.Constant) else "…" for v in node.values)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
             yield node.value
@@ -65,20 +67,23 @@ def explanations(source: str) -> Iterator[tuple[int, str]]:
             yield token.start[0], token.string
 
 
-def commands() -> Iterator[tuple[str, str]]:
-    """Name and help of every command, with those of its options."""
+@functools.cache
+def commands() -> dict[str, str]:
+    """Help of every command, with those of its options, by name."""
+    out = {}
     todo = [("rtec", get_command(application()))]
     while todo:
         name, command = todo.pop()
         options = [str(getattr(p, "help", "") or "") for p in command.params]
-        yield name, "\n".join([command.help or "", *options])
+        out[name] = "\n".join([command.help or "", *options])
         todo += [(f"{name} {n}", c) for n, c in getattr(command, "commands", {}).items()]
+    return out
 
 
-@pytest.mark.parametrize("name", [name for name, _ in commands()])
+@pytest.mark.parametrize("name", commands())
 def test_help(name: str) -> None:
     """Oracle: the list; and the first line is a sentence that says what the command does."""
-    text = dict(commands())[name]
+    text = commands()[name]
     assert not faults(text)
     first = text.split("\n\n")[0]
     assert re.match(r"[A-Z]\w*s\b|rtec makes", first), first

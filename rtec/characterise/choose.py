@@ -6,6 +6,7 @@ errors of all choices come from one set of normal equations. Alternatives that t
 from the choice are listed, as are effects that are confounded with the chosen ones.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -108,6 +109,8 @@ class HeldOutTable:
         self.most_features = max(1, min(MOST_FEATURES, len(normal.fold_numbers) // BLOCKS_EACH))
         self.freedom = float(np.sum([c.freedom for c in normal.cells]))
         offered = np.array([c.offered for c in candidates])
+        self.of_one = np.array([i for i, c in enumerate(self.columns) if len(c) == 1], dtype=np.int64)
+        self.of_several = [i for i, c in enumerate(self.columns) if len(c) != 1]
         self.shown, self.copies = _shown(normal, self.columns, offered)
         self.usable = self.shown & offered
         self._known: dict[tuple[int, ...], Floats] = {}
@@ -174,16 +177,20 @@ class HeldOutTable:
         d, e, _ = residual_parts(self.normal, self._index(chosen))
         raw = self.normal.raw[: self.normal.width]
         gain = np.where(d > VISIBLE * raw, e * e / np.where(d > 0, d, 1.0), 0.0)
-        total = np.array([gain[c].sum() if np.all(gain[c] > 0) else 0.0 for c in self.columns])
+        total = np.zeros(len(self.columns))
+        total[self.of_one] = gain[np.array([self.columns[i][0] for i in self.of_one], dtype=np.int64)]
+        for i in self.of_several:
+            own = gain[self.columns[i]]
+            total[i] = own.sum() if np.all(own > 0) else 0.0
         total[list(chosen)] = 0.0
         total[~(self.shown if rivals else self.usable)] = 0.0
-        order = [int(i) for i in np.argsort(-total, kind="stable") if total[i] > 0]
+        order = (int(i) for i in np.argsort(-total, kind="stable") if total[i] > 0)
         features = self._features(chosen)
         drives = [drive(self.candidates[i].term.effect) for i in chosen]
-        room = [i for i in order if self._room(i, features) and not self._cancels(i, drives)]
+        room = (i for i in order if self._room(i, features) and not self._cancels(i, drives))
         # A spindle's heat and an oil film have one power of the speed each: two powers would share one effect.
         speeds = {self._of_speed(i) for i in chosen} - {None}
-        return [i for i in room if self._of_speed(i) not in speeds][:most]
+        return list(itertools.islice((i for i in room if self._of_speed(i) not in speeds), most))
 
     def confounded(self, chosen: Sequence[int]) -> list[tuple[int, int, float]]:
         """Plain effects that were not chosen and are confounded with chosen ones.

@@ -9,10 +9,12 @@ type, default and meaning from the pydantic model that checks it. The meaning is
 without one takes it from "Attributes:" in the class' docstring.
 """
 
+import functools
 import importlib
 import inspect
 import json
 import re
+import sys
 import types
 import typing
 from collections.abc import Mapping
@@ -75,7 +77,7 @@ def installed() -> dict[str, Installed]:
     file can use.
     """
     out: dict[str, Installed] = {}
-    for entry in sorted(entry_points(group=GROUP), key=lambda e: (_package(e) != OWN, e.name)):
+    for entry in _registered(tuple(_changed(place) for place in sys.path)):
         for driver in _of(entry):
             first = out.get(driver.name)
             if first is None:
@@ -85,6 +87,22 @@ def installed() -> dict[str, Installed]:
             fault = f"is hidden: package {first.package} has a driver of the same name"
             out[name] = Installed(name, driver.module, driver.kind, driver.package, fault)
     return out
+
+
+def _changed(place: str) -> tuple[str, int]:
+    """A place where packages are, and when one last came or went there; 0 where there is no such place."""
+    whole = Path(place).absolute()
+    try:
+        return str(whole), whole.stat().st_mtime_ns
+    except OSError:
+        return str(whole), 0
+
+
+@functools.lru_cache(maxsize=4)
+def _registered(places: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    """Entry points of all packages, rtec's own first; read again once a package came or went."""
+    del places
+    return tuple(sorted(entry_points(group=GROUP), key=lambda e: (_package(e) != OWN, e.name)))
 
 
 def find(name: str, where: str) -> Installed:

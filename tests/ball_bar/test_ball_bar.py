@@ -17,7 +17,7 @@ from rtec.sim.campaign.campaign import simulate, simulate_with_truth
 from rtec.sim.campaign.settings import QUIET, DayPhase, DrivenPath, Settings
 from rtec.sim.campaign.truth import truth_of
 from tests.support.ball_bar_examples import ROWS, bar, gantry, recorded
-from tests.support.exact_chain import exact_tip_error_um
+from tests.support.exact_chain import exact_tip_error_um, exact_tip_errors_um
 from tests.support.machines import turning_centre, vertical_mill
 
 Floats = NDArray[np.float64]
@@ -44,9 +44,7 @@ def test_every_row_of_the_table_comes_out_of_the_chain(name: str, height: float,
     np.testing.assert_allclose(derived, expected, atol=1e-9)
 
     pose = np.stack([radius * np.cos(zeta), radius * np.sin(zeta), np.zeros(len(zeta))], axis=1)
-    tip = np.array([
-        exact_tip_error_um(m, pose[i], {c: size * float(v[i]) for c, v in shapes.items()}) for i in range(len(zeta))
-    ])  # fmt: skip
+    tip = exact_tip_errors_um(m, pose, {c: size * v for c, v in shapes.items()})
     exact = instrument.exact_um(m, pose, tip)[0]
     # Second order: e²/2L of errors of up to 7 µm, and a rotation's own square.
     np.testing.assert_allclose(exact, expected, atol=1.5e-3)

@@ -21,7 +21,7 @@ from rtec.characterise import characterise, read_wanted
 from rtec.machine import Machine, load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from tests.support.exact_chain import exact_tip_error_um
+from tests.support.exact_chain import exact_tip_errors_um
 
 Floats = NDArray[np.float64]
 State = Mapping[str, Floats]
@@ -66,13 +66,10 @@ class Truth:
         names = list(self.size)
         parts = {n: self.size[n] * SHAPES[n][3](state, self.machine) for n in names}
         place = np.stack([state[a.channel] for a in self.machine.axes], axis=1)
-        out = np.empty((len(place), 3))
-        for i, pose in enumerate(place):
-            errors: dict[str, float] = {}
-            for n in names:
-                errors[SHAPES[n][0]] = errors.get(SHAPES[n][0], 0.0) + float(parts[n][i])
-            out[i] = exact_tip_error_um(self.machine, pose, errors)
-        return out
+        errors: dict[str, Floats | float] = {}
+        for n in names:
+            errors[SHAPES[n][0]] = errors.get(SHAPES[n][0], 0.0) + parts[n]
+        return exact_tip_errors_um(self.machine, place, errors)
 
 
 def noisy(rng: np.random.Generator, true: Floats, white_um: float, drift: bool) -> Floats:

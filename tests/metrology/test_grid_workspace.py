@@ -21,7 +21,7 @@ from rtec.model import Model, load_model, save_model
 from rtec.sim.campaign.truth import truth_of
 from tests.metrology.test_grid_encoder import measured, own
 from tests.support.compiled_model import compile_model
-from tests.support.exact_chain import exact_tip_error_um
+from tests.support.exact_chain import exact_tip_errors_um
 from tests.support.machines import axis, machine
 
 pytestmark = pytest.mark.xdist_group("grid-workspace")  # what is fitted once is used by all of them
@@ -50,6 +50,7 @@ def bridge() -> Machine:
     return machine("bridge", ["Y", "Z"], ["X"], axes)
 
 
+@functools.cache
 def plates(heights_mm: tuple[float, ...], effects: tuple[str, ...] = (*RIGID, *BEYOND)) -> list[Measurement]:
     """Plates in YZ and XY at three places each for every height, and in XZ at three places."""
     at = [("YZ", [0.0, y, z]) for z in heights_mm for y in (-400.0, 0.0, 400.0)]
@@ -88,12 +89,7 @@ def true_tip_um() -> Floats:
     state = truth.state(*held_out())
     components = truth.components(state)
     names = truth.machine.components
-    return np.stack(
-        [
-            exact_tip_error_um(truth.machine, pose, dict(zip(names, row, strict=True)))
-            for pose, row in zip(state.positions_mm(), components, strict=True)
-        ]
-    )
+    return exact_tip_errors_um(truth.machine, state.positions_mm(), dict(zip(names, components.T, strict=True)))
 
 
 def left_um(model: Model | None) -> float:

@@ -62,6 +62,15 @@ def unwrapped(a: Bytes, b: Bytes) -> tuple[Ints, list[int]]:
     return np.cumsum(np.where(half, 0, step)), np.flatnonzero(half).tolist()
 
 
+DECODERS = (edge_walk, unwrapped)
+
+
+@cache
+def by_both(name: str, a: str, b: str) -> tuple[tuple[Ints, list[int]], ...]:
+    """A capture as it is, by each oracle."""
+    return tuple(decoder(*lines(name, a, b)) for decoder in DECODERS)
+
+
 def wandering_target(n: int, seed: int) -> tuple[Ints, Ints]:
     """A target that goes up and down by some tens of counts over the record; it rests for the last tenth."""
     rng = np.random.default_rng(seed)
@@ -72,8 +81,7 @@ def wandering_target(n: int, seed: int) -> tuple[Ints, Ints]:
 @every_pair
 def test_three_decoders_agree(name: str, a: str, b: str) -> None:
     capture = read(real_file("quadrature", name))
-    walk, walk_illegal = edge_walk(*lines(name, a, b))
-    angle, angle_illegal = unwrapped(*lines(name, a, b))
+    (walk, walk_illegal), (angle, angle_illegal) = by_both(name, a, b)
     edges = decode_edges(*capture.pair(a, b))
     np.testing.assert_array_equal(walk, angle)
     np.testing.assert_array_equal(walk, counts_at(edges, np.arange(len(walk))))
@@ -92,8 +100,7 @@ def test_corrected_is_raw_plus_inserted(name: str, a: str, b: str, limits: Inser
     out, ledger = correct_capture(*raw, None, limits, target_at=at, target_counts=counts)
     inserted = np.zeros(len(raw[0]), np.int64)
     inserted[out.insertion_at] = out.insertion_delta
-    for decoder in (edge_walk, unwrapped):
-        before, before_illegal = decoder(*raw)
+    for decoder, (before, before_illegal) in zip(DECODERS, by_both(name, a, b), strict=True):
         after, after_illegal = decoder(out.a, out.b)
         np.testing.assert_array_equal(before + np.cumsum(inserted), after)
         assert after_illegal == before_illegal

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -21,7 +23,7 @@ from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.model import Model
 from rtec.sim.campaign.campaign import Simulated, simulate, simulate_with_truth
-from rtec.sim.campaign.cycle import off_pitch, on_pitch
+from rtec.sim.campaign.cycle import directions, off_pitch, on_pitch
 from rtec.sim.campaign.protocol import PRESETS, drift_noise, relax, with_noise
 from rtec.sim.campaign.settings import (
     DRIFT_PROBES,
@@ -104,6 +106,22 @@ def test_true_components_are_those_of_the_effects() -> None:
     for i in range(0, len(m), 401):
         exact = exact_tip_error_um(machine, np.array([x[i], z[i]]), {c: v[i] for c, v in made.components.items()})
         np.testing.assert_allclose(m.matrix()[:, i], exact, atol=0.03)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_direction_is_that_of_the_last_move(seed: int) -> None:
+    """Oracle: a plain walk, twice round the cycle; what travels overruns its target in its own direction."""
+    rng = np.random.default_rng(seed)
+    n, axes = int(rng.integers(1, 12)), int(rng.integers(1, 4))
+    pose = rng.integers(0, 3, (n, axes)).astype(np.float64)
+    travelling, way = rng.integers(-1, axes, n), rng.choice([-1.0, 1.0], n)
+    last, expected = np.zeros(axes), np.zeros((n, axes))
+    for i in [*range(n), *range(n)]:
+        for a in range(axes):
+            step = pose[i, a] - pose[i - 1, a]
+            last[a] = way[i] if travelling[i] == a else np.sign(step) if step else last[a]
+        expected[i] = last
+    np.testing.assert_array_equal(directions(pose, travelling, way), expected)
 
 
 def test_sensors_say_what_is_true_when_they_are_perfect() -> None:

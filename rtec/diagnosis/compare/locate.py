@@ -169,7 +169,7 @@ def scan(fine: Sequence[Variable], pairs: Sequence[tuple[Variable, Variable]], s
     for v in fine:
         sums, counts = _cells([v], whole, free)
         a, b = _stretches(len(v))
-        spot = _best([v], [a], [b], sums[b + 1] - sums[a], counts[b + 1] - counts[a], total, n, chance)
+        spot = _best([v], [a], [b], _within_stretch, sums, counts, total, n, chance)
         singles += [spot] if spot else []
     for pair in pairs:
         spot = _rectangles(pair, whole, free, total, chance)
@@ -212,48 +212,70 @@ def _rectangles(
     i, j = (g.ravel() for g in np.meshgrid(np.arange(len(a)), np.arange(len(c)), indexing="ij"))
     a, b, c, d = a[i], b[i], c[j], d[j]
 
-    def over(x: Floats) -> Floats:
-        return np.asarray(x[b + 1, d + 1] - x[a, d + 1] - x[b + 1, c] + x[a, c])
+    return _best(list(pair), [a, c], [b, d], _within_rectangle, sums, counts, total, float(free.sum()), chance)
 
-    return _best(list(pair), [a, c], [b, d], over(sums), over(counts), total, float(free.sum()), chance)
+
+def _within_stretch(x: Floats, first: Sequence[Ints], last: Sequence[Ints]) -> Floats:
+    """Sums over stretches of one variable, off its running sums."""
+    return np.asarray(x[last[0] + 1] - x[first[0]])
+
+
+def _within_rectangle(x: Floats, first: Sequence[Ints], last: Sequence[Ints]) -> Floats:
+    """Sums over rectangles of two variables, off their running sums."""
+    (a, c), (b, d) = first, last
+    return np.asarray(x[b + 1, d + 1] - x[a, d + 1] - x[b + 1, c] + x[a, c])
+
+
+AT_ONCE = 15_000
+"""Scores that are reckoned at a time: so many stay in the processor's cache."""
 
 
 def _best(
     variables: list[Variable],
     first: list[Ints],
     last: list[Ints],
-    inside: Floats,
-    count: Floats,
+    within: Callable[[Floats, Sequence[Ints], Sequence[Ints]], Floats],
+    sums: Floats,
+    counts: Floats,
     total: Floats,
     n: float,
     chance: Floats,
 ) -> Spot | None:
     """Best region; raises `chance` to the best score of each draw. `total` and `n` are sums over all readings."""
-    good = (count >= max(FEWEST, SHARE * n)) & (count <= LARGEST * n)
-    if not good.any():
-        return None
-    signed = _signed(inside[good], count[good], total, n)
-    usual = np.sqrt(np.mean(signed[:, 1:] ** 2, axis=1))
-    score = signed / np.maximum(usual, 1.0)[:, None]
-    np.maximum(chance, score[:, 1:].max(axis=0), out=chance)
-    best = int(np.argmax(score[:, 0]))
-    place = np.flatnonzero(good)[best]
-    return Spot(
-        tuple(variables),
-        tuple(int(x[place]) for x in first),
-        tuple(int(x[place]) for x in last),
-        float(score[best, 0]),
-    )
+    count = within(counts, first, last)
+    good = np.flatnonzero((count >= max(FEWEST, SHARE * n)) & (count <= LARGEST * n))
+    best: Spot | None = None
+    rows = max(AT_ONCE // sums.shape[-1], 1)
+    for i in range(0, len(good), rows):
+        some = good[i : i + rows]
+        a, b = [x[some] for x in first], [x[some] for x in last]
+        score = _signed(within(sums, a, b), count[some], total, n)
+        usual = np.sqrt(np.mean(score[:, 1:] ** 2, axis=1))
+        score /= np.maximum(usual, 1.0)[:, None]
+        np.maximum(chance, score[:, 1:].max(axis=0), out=chance)
+        k = int(np.argmax(score[:, 0]))
+        if best is None or score[k, 0] > best.score:
+            best = Spot(tuple(variables), tuple(int(x[k]) for x in a), tuple(int(x[k]) for x in b), float(score[k, 0]))
+    return best
 
 
 def _signed(inside: Floats, count: Floats, total: Floats, n: float) -> Floats:
     """Signed root of the log likelihood ratio of two variances over one, (regions, 1 + draws)."""
     k = count[:, None]
-    within = np.maximum(inside, 0.0) / k + TINY
-    without = np.maximum(total - inside, 0.0) / (n - k) + TINY
+    within = np.maximum(inside, 0.0)
+    within /= k
+    within += TINY
+    without = total - inside
+    np.maximum(without, 0.0, out=without)
+    without /= n - k
+    without += TINY
+    sign = np.sign(within - without)
     everywhere = np.maximum(total, 0.0) / n + TINY
-    ratio = n * np.log(everywhere) - k * np.log(within) - (n - k) * np.log(without)
-    return np.asarray(np.sign(within - without) * np.sqrt(np.maximum(ratio, 0.0)))
+    ratio = n * np.log(everywhere) - k * np.log(within, out=within)
+    ratio -= (n - k) * np.log(without, out=without)
+    np.maximum(ratio, 0.0, out=ratio)
+    sign *= np.sqrt(ratio, out=ratio)
+    return np.asarray(sign)
 
 
 Stage = Callable[[str, int, int], None]

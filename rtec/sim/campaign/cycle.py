@@ -172,15 +172,13 @@ def _lines(
 
 def directions(pose: Floats, travelling: NDArray[np.int64], way: Floats) -> Floats:
     """Last direction of every axis in a repeated cycle, (n, axes); the travelling axis overruns its end targets."""
-    out, last = np.zeros_like(pose), np.zeros(pose.shape[1])
-    for _ in range(2):
-        for i in range(len(pose)):
-            moved = np.sign(pose[i] - pose[i - 1])
-            last = np.where(moved != 0, moved, last)
-            if travelling[i] >= 0:
-                last[travelling[i]] = way[i]
-            out[i] = last
-    return out
+    moved = np.sign(pose - np.roll(pose, 1, axis=0))
+    rows = np.flatnonzero(travelling >= 0)
+    moved[rows, travelling[rows]] = way[rows]
+    # The row of the last move up to each row; where there is none yet, that of the last in the cycle before.
+    since = np.maximum.accumulate(np.where(moved != 0, np.arange(len(pose))[:, None], -1))
+    since = np.where(since >= 0, since, since[-1])
+    return np.asarray(np.take_along_axis(moved, since, axis=0) + 0.0)
 
 
 APPROACH_S = 2.0
