@@ -71,6 +71,8 @@ AS_GOOD = 1.1
 THIN = 200
 """Fewest readings for the first search of the place."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
+NO_UNIT = (5.0, 0.2, 2.0, 0.5)
+"""Factors that no unit of length has: of a position the model's own numbers, out of date, look so."""
 BEYOND = 0.05
 """Share of the travel by which a position may exceed it."""
 FLAT, MUCH = 1.5, 5.0
@@ -341,10 +343,12 @@ class _Edits:
         return float(self.residuals([{channel: lambda s: np.full(len(s), median)}])[0])
 
     def _within_travel(self, channel: str, factor: float) -> bool:
-        """Whether a position times a factor is within the travel; true of all other channels."""
+        """Whether a position times a factor that a unit has is within the travel; true of all other channels."""
         axis = next((a for a in self.model.machine.axes if a.channel == channel), None)
         if axis is None:
             return True
+        if factor in NO_UNIT:
+            return False
         low, high = axis.travel_mm
         beyond = BEYOND * (high - low)
         places = [factor * s.channels[channel] for s in self.readings.states if channel in s.channels]
