@@ -285,7 +285,7 @@ def test_what_grows_where_an_axis_is_mounted_is_no_moved_origin() -> None:
 
 
 def test_a_position_is_not_read_in_fifths() -> None:
-    """Numbers of the model that are out of date beside a missing expansion look so; the truth is the benchmark's own."""
+    """Numbers of the model that are out of date beside a missing expansion look so."""
     trial = build("improve", "bursts_warm_screw", 71003)
     found = diagnose(model_of(trial), measurements_of(trial), draws=50)
     assert not found.doubts
