@@ -173,14 +173,19 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
 
 
+FEW = 2
+"""Number of effects up to which the sentence gives the share and the rivals of each."""
+
+
 def _together(d: Diagnosis) -> str:
     """Effects that are missing together, what each removes, and the residual without a name."""
     falls = [after - before for before, after in pairwise([0.0, *(m.heldout_drop for m in d.together)])]
-    apart = min(falls) >= 0.0  # one that is larger without the next has no share of its own
+    # One that is larger without the next has no share of its own; of many the table has the shares.
+    apart, few = min(falls) >= 0.0 and len(falls) <= FEW, len(falls) <= FEW
     parts = []
     for m, fall in zip(d.together, falls, strict=True):
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
-        either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals else []
+        either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals and few else []
         parts.append(" ".join([m.label, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
     if not apart:
         parts[-1] += (

@@ -212,7 +212,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
         numbers=[
             (f"{residual}\u00a0{unit}", "residual of the model"),
             (f"{floor}\u00a0{unit}", "noise floor"),
-            *([(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []),
+            *_weight(d),
         ],
         sections=[
             *_to_type(d),
@@ -231,10 +231,26 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
     )
 
 
+def _weight(d: Diagnosis) -> list[tuple[str, str]]:
+    """How sure the answer is: a number and its words."""
+    if len(d.together) > 1:
+        return [(percent(d.together[-1].heldout_drop), "of the held-out mean square error, removed by all together")]
+    return [(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []
+
+
+def _together(d: Diagnosis) -> Table:
+    """Table of the effects that are missing together."""
+    rows = [[m.label, percent(max(m.heldout_drop, 0.0)), " or ".join(m.rivals[:2]) or "no other"] for m in d.together]
+    caption = "Falls by: share of the mean square, with the effects above it. The candidates one by one: --full."
+    return Table(("missing together", "held-out error falls by", "or in its place"), rows, caption, words=(2,))
+
+
 def _brief(d: Diagnosis) -> Table | None:
     """Table of the first candidates; None where there are none, or the record is in doubt."""
     if not d.findings or any(b.blames_no_effect for b in d.doubts):
         return None
+    if len(d.together) > 1:
+        return _together(d)
     shown = d.findings[:BRIEF]
     rows = [
         [
@@ -257,7 +273,7 @@ def _next(d: Diagnosis) -> list[str]:
     model, *data = d.files
     better = f"{model.with_suffix('')}-more.toml"
     sure = d.verdict == "missing_effect"
-    if d.verdict == "ambiguous" and d.findings[0].confused_with:
+    if d.verdict == "ambiguous" and d.findings[0].confused_with and len(d.together) < 2:
         first = d.findings[0]
         names = [(first.effect.effect, first.effect.component)]
         names += [(a.effect, a.component) for a in first.confused_with if not a.apart]
@@ -266,7 +282,7 @@ def _next(d: Diagnosis) -> list[str]:
             chosen = ",".join(rivals[:BRIEF])
             return [shell_command("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", chosen)]
         sure = not d.together  # together: forms of one effect, which is missing in any case
-    if sure and d.findings[0].partner is None:
+    if sure and d.findings[0].partner is None and len(d.together) < 2:
         return [shell_command("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
     if d.verdict == "unknown_effect":
         return [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
