@@ -241,8 +241,8 @@ def _weight(d: Diagnosis) -> list[tuple[str, str]]:
 def _together(d: Diagnosis) -> Table:
     """Table of the effects that are missing together."""
     rows = [[m.label, percent(max(m.heldout_drop, 0.0)), " or ".join(m.rivals[:2]) or "no other"] for m in d.together]
-    caption = "Falls by: share of the mean square, with the effects above it. The candidates one by one: --full."
-    return Table(("missing together", "held-out error falls by", "or in its place"), rows, caption, words=(2,))
+    caption = "Falls by: share of the held-out mean square error, with the effects above it. One by one: --full."
+    return Table(("missing together", "falls by", "or in its place"), rows, caption, words=(0, 2))
 
 
 def _brief(d: Diagnosis) -> Table | None:

@@ -46,6 +46,8 @@ ADEQUATE, LEAST = 0.95, 0.7
 Below the lower share it describes nothing."""
 LITTLE = 0.25
 """A fall of the mean square on held-out runs below this is little."""
+MAIN = 0.75
+"""An effect that removes more than this share of the held-out mean square is named first, the others after it."""
 PLAIN = 2
 """Largest number of coefficients of a plain effect."""
 MAY = 0.3
@@ -375,7 +377,7 @@ class _Search:
         whole = self.refits.chain(best, bar, lambda _: True)
         chain = max(chain, whole, key=lambda c: c[-1].log_evidence)
         there = best.number in [t.number for t in chain]
-        return [] if there and not far_better(chain[-1], best) else chain
+        return [] if there and (best.drop > MAIN or not far_better(chain[-1], best)) else chain
 
     def _shapes(self, best: Refitted | None) -> list[Shaped]:
         """The best shapes without a name, searched under the best estimate of the noise and under one without drift."""

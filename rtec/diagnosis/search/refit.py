@@ -532,7 +532,7 @@ class Refits:
                 chosen[at : at + 1] = best
                 now = best[0].fit if best else without
         if [t.number for t in chosen] == [t.number for t in members]:
-            return members
+            return [replace(t, rivals=c.rivals) for t, c in zip(members, chosen, strict=True)]
         ordered = self._in_order(chosen, bar)
         no_worse = ordered and 1.0 - ordered[-1].drop <= (1.0 + MORE) * (1.0 - members[-1].drop)
         return ordered if no_worse else members
