@@ -14,7 +14,7 @@ from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.files.checks import CheckedRows, check_order, remarks
 from rtec.metrology.files.columns import check_columns, on_circle, still_right
-from rtec.metrology.files.directions import approached, on_the_run
+from rtec.metrology.files.directions import approached, by_velocity, on_the_run
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.save import save_measurement
 from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
@@ -71,12 +71,13 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     run = raw.columns["run"].astype(np.int64)
     channels = {columns[c]: v for c, v in raw.columns.items() if c in columns}
     written = {channel: column for column, channel in columns.items()}
-    runs = on_the_run(instrument, machine, channels, raw.columns["time_s"])
+    runs = on_the_run(instrument, machine, channels, run, raw.columns["time_s"])
     notes += [
         f"no column {written[c]}: by its positions and times the axis went at its feed while it was read" for c in runs
     ]
     channels |= runs
-    sides = approached(instrument, machine, channels)
+    channels |= by_velocity(machine, channels, run)
+    sides = approached(machine, channels, run)
     notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]
     return Measurement(
         name=table.stem,
