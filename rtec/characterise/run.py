@@ -34,6 +34,7 @@ from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
+from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.model.fit import Margin
@@ -154,14 +155,14 @@ def _fit_to(
     _check_channels(sources, exact)
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     if wanted is not None and not wanted.names:
-        return _significant(sources, fixed, [], _is_named(wanted), 0, tell), None, None
+        return _significant(sources, fixed, [], wanted, 0, tell), None, None
     one_way = wanted is None and any(p.one_way for p in one_pass(given.readings))
     named, rules = _is_named(wanted), _Rules(places_only=one_way)
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
         chosen = joined(_with_constant(screened, choice, rules))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
-        fit = _significant(sources, fixed, chosen, named, sum(c.offered for c in screened.candidates), tell)
+        fit = _significant(sources, fixed, chosen, wanted, sum(c.offered for c in screened.candidates), tell)
         further = _further_rules(given.readings, fit, len(fixed), named, rules)
         if further == rules:
             return fit, screened, choice
@@ -256,9 +257,8 @@ def _choose(screened: Screened, wanted: AskedEffects | None, rules: _Rules, tell
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
-    forced = [
-        i for i, c in enumerate(candidates) if wanted is not None and c.offered and _is_forced(c.term.effect, c.kind)
-    ]
+    machine = screened.sources[0].measurement.machine
+    forced = [i for i, c in enumerate(candidates) if wanted is not None and c.offered and _is_forced(c, machine)]
     return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t), rules.single)
 
 
@@ -276,9 +276,13 @@ def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> lis
     return [c.term for c in chosen]
 
 
-def _is_forced(effect: Effect, kind: str) -> bool:
+def _is_forced(one: TermCandidate, machine: Machine) -> bool:
     """Whether a named effect is fitted without a choice: geometry up to quadratic is; temperatures are chosen."""
-    return kind in ("position", "direction", "cyclic") and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
+    effect = one.term.effect
+    places = {c for a in machine.axes for c in (a.channel, a.direction_channel)}
+    other = one.kind == "other" and one.direct and not one.term.theta and places.issuperset(effect.channels(machine))
+    geometry = other or one.kind in ("position", "direction", "cyclic")
+    return geometry and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
 
 
 def _is_named(wanted: AskedEffects | None) -> Callable[[Term], bool]:
@@ -290,7 +294,7 @@ def _significant(
     sources: Sequence[Source],
     fixed: list[Term],
     chosen: list[Term],
-    named: Callable[[Term], bool],
+    wanted: AskedEffects | None,
     candidates: int,
     tell: Stage,
 ) -> Estimate:
@@ -298,6 +302,7 @@ def _significant(
 
     Degrees of a polynomial were chosen one by one, and are tested one by one.
     """
+    named = _is_named(wanted)
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
         sure, owner = surety(fit, candidates), fit.linear.owner - kept
@@ -319,6 +324,12 @@ def _significant(
     why = "the readings are noise, or show an error that no effect describes"
     if blocks < FEW_BLOCKS:
         why = f"{blocks} blocks of readings are too few to choose among {candidates} effects"
+    if wanted is not None:
+        raise ModelError(
+            f"fit: none of the effects named ({', '.join(wanted.names)}) lowers the error on held-out runs "
+            f"significantly: {why}; name an effect with its component and arguments to fit it nonetheless: --effects "
+            "mount_expansion:EXX:sensor=T_bed"
+        )
     raise ModelError(
         f"fit: no effect lowers the error on held-out runs significantly: {why}; name effects with --effects to fit "
         "them nonetheless"

@@ -176,7 +176,6 @@ def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None)
             beside it if more grows and falls, and no smooth function of positions, directions, speeds and load explains
             that. None where nothing is named: then it is raised if no temperature varied.
     """
-    machine = readings.machine
     if named_um is None and _temperature_varied(readings):
         return None
     slow, memory, s = max((_slow(fit, fit.whitener, i) for i in range(len(readings.series))), key=lambda f: f[0])
@@ -192,10 +191,25 @@ def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None)
         f"{m.name} {s.column} grows and falls by {number(slow)} {UNITS.get(s.unit, s.unit)} with a memory of "
         f"{minutes(memory)}: slow, and unexplained by anything recorded."
     )
-    moves = [a.name for a in machine.axes if float(np.ptp(readings.states[s.source].value(a.channel)[s.row])) > 0.0]
+    return Doubt("no_temperature", message, _to_record(readings, s), fatal=True)
+
+
+def heat_by_time(readings: Readings) -> Doubt | None:
+    """Doubt beside an unnamed error that depends on time, where no recorded temperature changed; None where one did."""
+    if _temperature_varied(readings):
+        return None
+    there = any(n in s.channels for n in readings.machine.sensor_names for s in readings.states)
+    which = "The recorded temperatures did not change" if there else "No temperature was recorded"
+    message = f"{which}, and heat that comes and goes looks like this."
+    return Doubt("no_temperature", message, _to_record(readings, readings.series[0]))
+
+
+def _to_record(readings: Readings, s: Series) -> str:
+    """The temperatures that show the heat of a series."""
+    state = readings.states[s.source]
+    moves = [a.name for a in readings.machine.axes if float(np.ptp(state.value(a.channel)[s.row])) > 0.0]
     bodies = [f"the screw or scale of {a}" for a in moves[:1]] + ["spindle", "column", "bed", "air"]
-    step = f"Record temperatures of {', '.join(bodies)}."
-    return Doubt("no_temperature", message, step, fatal=True)
+    return f"Record temperatures of {', '.join(bodies)}."
 
 
 def _slow(fit: Fit, noise: Whitener, number: int) -> tuple[float, float, Series]:

@@ -151,7 +151,8 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         if d.findings and d.adequacy is not None:
             share = percent(max(d.adequacy, 0.0))
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
-        return f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
+        text = f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
+        return text + _by_heat(d)
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
     if d.out_of_date:
@@ -196,7 +197,12 @@ def _together(d: Diagnosis) -> str:
     if d.unknown is None:
         return f"{named_so} {are} missing"
     where = " and ".join(map(named, d.unknown.channels))
-    return f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}"
+    return f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}{_by_heat(d)}"
+
+
+def _by_heat(d: Diagnosis) -> str:
+    """The sentences on heat that nothing recorded, after what has no name."""
+    return "".join(f". {b.words.rstrip('.')}" for b in d.doubts if b.kind == "no_temperature" and not b.fatal)
 
 
 def _of_the_residual(size: float, d: Diagnosis, unit: str) -> str:

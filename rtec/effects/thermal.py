@@ -173,6 +173,16 @@ class ColumnTilt(Effect):
     front: str
     back: str
 
+    @classmethod
+    def suggest(cls, around: Surroundings) -> Iterator[Effect]:
+        """Also the roll of an axis at rest: a column that travels along X and leans back turns about X."""
+        rolls = around.axis is None and component_kind(around.component, around.machine) == "roll"
+        if not rolls or "tilt" not in cls.feeds:
+            yield from super().suggest(around)
+            return
+        for sensors in cls.arguments(around):
+            yield cls.model_validate({"effect": "column_tilt", "component": around.component, **sensors})
+
     def check(self, machine: Machine, where: str) -> None:
         """Check component and both sensors."""
         super().check(machine, where)

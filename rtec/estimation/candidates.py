@@ -12,7 +12,7 @@ from rtec.effects.base import Surroundings
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
-from rtec.estimation.visible import VisibleComponent, visible_components, within_record
+from rtec.estimation.visible import VisibleComponent, moves, visible_components, within_record
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 
@@ -100,8 +100,31 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
 
 
 def visible(readings: Readings) -> list[VisibleComponent]:
-    """Component errors that the readings see."""
-    return visible_components(readings.measurements)
+    """Component errors that the readings see; where no axis moves, the tilts of the axes that carry the spindle too.
+
+    A column tilts about its foot, which may be at any axis of its chain. Tilts that move all readings as another
+    component does are left out: these readings cannot distinguish them.
+    """
+    found, machine = visible_components(readings.measurements), readings.machine
+    if any(moves(m, a) for m in readings.measurements for a in machine.axes):
+        return found
+    fixed = {c.name[3:] for c in found if c.axis is None}
+    carrying = {n for chain in (machine.work_chain, machine.tool_chain) if fixed & set(chain) for n in chain}
+    shapes = [_shape(readings, c.name) for c in found]
+    for axis in (a for a in machine.axes if a.name in carrying):
+        for name in (f"E{angle}{axis.name}" for angle in "ABC"):
+            shape = _shape(readings, name) if name in machine.components else np.zeros(len(readings))
+            if shape.any() and all(abs(float(shape @ s)) < 1.0 - ONE_ARM for s in shapes):
+                found.append(VisibleComponent(name, axis, moves=False))
+                shapes.append(shape)
+    return found
+
+
+def _shape(readings: Readings, component: str) -> Floats:
+    """Lever arms of a component on all readings, as a vector of length one, (m,); zero where it is not seen."""
+    arms = readings.arms(component)
+    length = float(np.linalg.norm(arms))
+    return arms / length if length > 0.0 else arms
 
 
 def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:

@@ -1,10 +1,12 @@
-"""A run whose zero moved: it differs from the runs before and after it, equally at all places, for no recorded reason.
+"""Runs whose zero moved: they differ from the runs before and after, equally at all places, for no recorded reason.
 
 The display was zeroed again, or the reflector was touched, and corrected afterwards. No effect of a machine appears and
 disappears like that; an effect that is fitted to it is an artefact.
 """
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +19,11 @@ from rtec.wording import significant
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-FEW_RUNS, FEW_PLACES = 4, 5
+FEW_RUNS, FEW_PLACES = 3, 5
 """Fewest runs, and fewest places that a run shares with the run before it and after it."""
+MOVED, MANY_RUNS, LONGER = 0.4, 300, 1.2
+"""Largest share of the runs whose zero moved; of more runs than this many, only single ones are looked at. More runs in
+a row must explain this many times as much as fewer."""
 LEAST, EVEN = 10.0, 0.7
 """The jump is this percentile of the changes at all places, and at least this share of their median: heat moves the
 places by different amounts, a zero moves all equally."""
@@ -31,24 +36,28 @@ SEEN = 1e-6
 """Columns of heat within this relative difference are one."""
 STAYED = 0.5
 """The residual with a zero of its own is at most this share of that with a zero that moved once and stayed."""
+FOLLOWS = 0.5
+"""A channel is no reason for a jump if its other steps explain less than this share of what they would by the jump."""
 OWN = 0.1
 """Least share of a zero of its own that heat cannot explain."""
 
 
 @dataclass(frozen=True)
 class MovedZero:
-    """A run whose zero moved.
+    """Consecutive runs whose zero moved, and moved back after them.
 
     Attributes:
-        series: number of its series.
-        run: its number in the file.
+        series: number of their series.
+        run: number of the first of them in the file.
+        last: number of the last.
         by: the jump, with sign, in the unit of the readings.
-        readings: which readings it has, (m,).
+        readings: which readings they have, (m,).
         message: in words, without a full stop.
     """
 
     series: int
     run: int
+    last: int
     by: float
     readings: NDArray[np.bool_]
     message: str
@@ -58,7 +67,7 @@ STEP = 'leave that run out, or write zero = "run" in the [setup] of the file, so
 
 
 def moved_zeros(readings: Readings) -> list[MovedZero]:
-    """Runs that differ from both neighbouring runs, equally at all places, while no recorded channel does.
+    """Runs that differ from the runs before and after them, equally at all places, while no recorded channel does.
 
     Runs with a zero of their own are excluded, and so are the first and the last: a change there may have persisted.
     """
@@ -66,81 +75,159 @@ def moved_zeros(readings: Readings) -> list[MovedZero]:
     for i, s in enumerate(readings.series):
         if s.nuisance.shape[1] and not np.ptp(s.nuisance, axis=0).all():
             continue  # each run has a zero of its own
-        found = _jump(readings, s)
-        if found is not None:
-            run, by = found
+        for jump in _jumps(readings, s):
             mine = np.zeros(len(readings), dtype=np.bool_)
-            mine[s.part] = s.run == run
+            inside = jump.holds(s.run)
+            mine[s.part] = inside
             m = readings.measurements[s.source]
-            number = int(m.run[s.row[np.argmax(s.run == run)]])
+            numbers = m.run[s.row[inside]]
+            first, last = int(numbers[0]), int(numbers[-1])
             unit = "µm" if s.unit == "um" else "µrad"
+            which, them = (f"run {first} is", "it") if first == last else (f"runs {first} to {last} are", "them")
             message = (
-                f"{m.name} {s.column}: run {number} is {significant(abs(by), 2)} {unit} apart from the runs before and "
-                "after it, at all places alike: was the instrument zeroed again?"
+                f"{m.name} {s.column}: {which} {significant(abs(jump.by), 2)} {unit} apart from the runs before and "
+                f"after {them}, at all places alike: was the instrument zeroed again?"
             )
-            out.append(MovedZero(i, number, by, mine, message))
+            out.append(MovedZero(i, first, last, jump.by, mine, message))
     return out
 
 
-def _jump(readings: Readings, s: Series) -> tuple[int, float] | None:
-    """The run of a series whose zero moved, and the jump."""
+@dataclass(frozen=True)
+class _Jump:
+    """A zero of its own of consecutive runs.
+
+    Attributes:
+        first, last: the runs, counted from zero.
+        by: the zero, in the unit of the readings.
+    """
+
+    first: int
+    last: int
+    by: float
+
+    def holds(self, run: Ints) -> NDArray[np.bool_]:
+        """Which runs are among them."""
+        return np.asarray((run >= self.first) & (run <= self.last))
+
+    def beside(self, other: "_Jump") -> bool:
+        """Whether both share a run or a change between two runs."""
+        return self.first <= other.last + 1 and other.first <= self.last + 1
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """Changes from each reading to the next one of another run at the same place.
+
+    Attributes:
+        before, after: both runs, (pairs,).
+        change: change of the reading, (pairs,).
+        heat: orthonormal columns of what goes with the temperatures, (pairs, columns).
+        runs: number of runs.
+    """
+
+    before: Ints
+    after: Ints
+    change: Floats
+    heat: Floats
+    runs: int
+
+    def of(self, jump: _Jump) -> Floats:
+        """Change that a jump makes, (pairs,)."""
+        return jump.by * (1.0 * jump.holds(self.after) - 1.0 * jump.holds(self.before))
+
+    def without(self, jumps: Sequence[_Jump]) -> "_Changes":
+        """The same without some jumps."""
+        return replace(self, change=self.change - sum((self.of(j) for j in jumps), np.zeros(len(self.change))))
+
+    def cold(self, values: Floats) -> Floats:
+        """Values without what goes with the temperatures, (pairs,)."""
+        return np.asarray(values - self.heat @ (self.heat.T @ values))
+
+
+def _jumps(readings: Readings, s: Series) -> list[_Jump]:
+    """The jumps of a series: as few as leave none that is as large."""
     runs = int(s.run[-1]) + 1
     if runs < FEW_RUNS:
-        return None
-    before, after, measured, heat = _changes(readings, s)
-    best = _best(before, after, measured, heat, runs) if len(measured) else None
-    if best is None:
-        return None
-    r, by, change = best
-    moved = [change[after == k] for k in range(runs)]
-    left = [-change[before == k] for k in range(runs)]
-    steps = {k: float(np.median(d)) for k, d in enumerate(moved) if len(d) >= FEW_PLACES}
-    if not steps:
-        return None
-    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([moved[k] - m for k, m in steps.items()]))))
-    apart = [_apart(_all_alike(moved[k]), _all_alike(left[k])) for k in range(runs)]
-    beside = {r, *after[before == r].tolist()}
-    usual = [abs(m) for k, m in steps.items() if k not in beside]
-    most = max(abs(a) for k, a in enumerate(apart) if k != r)
-    if not usual or abs(apart[r]) <= max(NOISE * scatter, USUAL * float(np.median(usual)), OTHERS * most):
-        return None
-    return None if _has_reason(readings, s, r, before[after == r], after[before == r]) else (r, by)
+        return []
+    changes = _changes(readings, s)
+    found: list[_Jump] = []
+    while len(changes.change) and sum(j.last - j.first + 1 for j in found) < max(1.0, MOVED * runs):
+        largest = _largest(changes.without(found), found)
+        if largest is None:
+            return []
+        found.append(largest)
+        if all(_stands_out(changes.without([j for j in found if j is not one]), one) for one in found):
+            reasons = [_has_reason(readings, s, one, changes) for one in found]
+            return [] if any(reasons) else sorted(found, key=lambda j: j.first)
+    return []
 
 
-def _best(before: Ints, after: Ints, change: Floats, heat: Floats, runs: int) -> tuple[int, float, Floats] | None:
-    """The run whose own zero explains most of the changes, that zero, and the changes less the part that heat explains.
+def _largest(changes: _Changes, known: Sequence[_Jump]) -> _Jump | None:
+    """The runs whose own zero explains most of the changes, apart from known ones; None where there are none."""
+    into, out_of = (_sums(changes, run) for run in (changes.after, changes.before))
+    inside = np.zeros((changes.runs, changes.runs)) if changes.runs <= MANY_RUNS else None
+    if inside is not None:
+        np.add.at(inside, (changes.before, changes.after), 1.0)
+    best, most = None, 0.0
+    longest = max(1, int(MOVED * changes.runs)) if inside is not None else 1
+    for extra, first in itertools.product(range(longest), range(1, changes.runs - 1)):
+        last = first + extra
+        if last > changes.runs - 2:
+            continue
+        part = slice(first, last + 1)
+        gone, come = into[part].sum(axis=0), out_of[part].sum(axis=0)
+        kept = 0.0 if inside is None else 2.0 * float(inside[part, part].sum())
+        own = np.concatenate([[gone[0] + come[0] - kept], gone[1:] - come[1:]])
+        (explains,), (by,) = _explained(own[None])
+        jump = _Jump(first, last, float(by))
+        # Two runs that moved alike make the same first and last change as all from one to the other.
+        least = most * (LONGER if best is not None and best.last - best.first < extra else 1.0)
+        if explains > least and not any(jump.beside(k) for k in known):
+            best, most = jump, float(explains)
+    return best
 
-    None where no run can have one, or where a zero that moved once and stayed explains as much.
-    """
-    u, size, _ = np.linalg.svd(heat, full_matrices=False)
-    q = u[:, size > SEEN * size.max(initial=0.0)]
-    plain = change - q @ (q.T @ change)
 
-    def sums(run: Ints) -> Floats:
-        """Number of changes of each run, their sum, and its columns of heat, (runs, 2 + columns)."""
-        return np.stack([np.bincount(run, c, minlength=runs) for c in (np.ones(len(run)), plain, *q.T)], axis=1)
-
-    into, out_of = sums(after), sums(before)
-    own = np.concatenate([into[:, :1] + out_of[:, :1], into[:, 1:] - out_of[:, 1:]], axis=1)[1:-1]
-    (most, by), (once, _) = _explained(own), _explained(into)
-    r, rest = int(np.argmax(most)), float(plain @ plain)
-    if rest - most[r] > STAYED * (rest - once.max()):
-        return None
-    r, zero = r + 1, float(by[r])
-    return r, zero, change - q @ (q.T @ (change - zero * (1.0 * (after == r) - 1.0 * (before == r))))
+def _sums(changes: _Changes, run: Ints) -> Floats:
+    """Number of changes of each run, their sum, and its columns of heat, (runs, 2 + columns)."""
+    values = (np.ones(len(run)), changes.cold(changes.change), *changes.heat.T)
+    return np.stack([np.bincount(run, v, minlength=changes.runs) for v in values], axis=1)
 
 
 def _explained(sums: Floats) -> tuple[Floats, Floats]:
-    """Sum of squares that each step beside heat explains, and the step's size, (steps,) each; sums as of `_best`."""
+    """Sum of squares that each step beside heat explains, and the step's size, (steps,) each; sums as of `_sums`."""
     left = sums[:, 0] - np.sum(sums[:, 2:] ** 2, axis=1)
     size = np.where(left > OWN * sums[:, 0], sums[:, 1] / np.maximum(left, 1e-12), 0.0)
     return size**2 * left, size
 
 
-def _changes(readings: Readings, s: Series) -> tuple[Ints, Ints, Floats, Floats]:
-    """From each reading to the next one of another run at the same place, reached from the same side: both runs, the
-    change, and the columns of heat, (pairs, columns).
-    """
+def _stands_out(changes: _Changes, jump: _Jump) -> bool:
+    """Whether a jump is far larger than all that is between the other runs, and no zero that moved once and stayed."""
+    before, after = changes.before, changes.after
+    (once, _), whole = _explained(_sums(changes, after)), changes.cold(changes.change)
+    made = changes.cold(changes.of(jump))
+    if float(np.sum((whole - made) ** 2)) > STAYED * (float(whole @ whole) - float(once.max())):
+        return False
+    change = changes.cold(changes.change - changes.of(jump)) + changes.of(jump)
+    outside = ~(jump.holds(before) & jump.holds(after))
+    moved = [change[(after == k) & outside] for k in range(changes.runs)]
+    left = [-change[(before == k) & outside] for k in range(changes.runs)]
+    steps = {k: float(np.median(d)) for k, d in enumerate(moved) if len(d) >= FEW_PLACES}
+    if not steps:
+        return False
+    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([moved[k] - m for k, m in steps.items()]))))
+    into, back = jump.holds(after) & outside, jump.holds(before) & outside
+    own = _apart(_all_alike(change[into]), _all_alike(-change[back]))
+    mine = set(range(jump.first, jump.last + 1))
+    most = max(abs(_apart(_all_alike(moved[k]), _all_alike(left[k]))) for k in range(changes.runs) if k not in mine)
+    beside = {*mine, *after[back].tolist()}
+    usual = [abs(m) for k, m in steps.items() if k not in beside]
+    if not usual and changes.runs == FEW_RUNS:  # the runs before and after are all that there is
+        usual = [abs(float(np.median(change[into])) + float(np.median(change[back])))]
+    return bool(usual) and abs(own) > max(NOISE * scatter, USUAL * float(np.median(usual)), OTHERS * most)
+
+
+def _changes(readings: Readings, s: Series) -> _Changes:
+    """Changes from each reading to the next one of another run at the same place, reached from the same side."""
     pose, state = readings.poses_mm[s.source][s.row], readings.states[s.source]
     ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
     place = row_codes(np.stack([*np.round(PER_MM * pose).T, *ways]))
@@ -149,7 +236,9 @@ def _changes(readings: Readings, s: Series) -> tuple[Ints, Ints, Floats, Floats]
     heat = np.concatenate([warm * at[:, None] for at in (np.ones(len(s)), *pose.T)], axis=1)[order]
     place, run, value = place[order], s.run[order], readings.values[s.part][order]
     pair = (place[1:] == place[:-1]) & (run[1:] != run[:-1])
-    return run[:-1][pair], run[1:][pair], np.diff(value)[pair], np.diff(heat, axis=0)[pair]
+    u, size, _ = np.linalg.svd(np.diff(heat, axis=0)[pair], full_matrices=False)
+    columns = u[:, size > SEEN * size.max(initial=0.0)]
+    return _Changes(run[:-1][pair], run[1:][pair], np.diff(value)[pair], columns, int(s.run[-1]) + 1)
 
 
 def _warm(readings: Readings, s: Series) -> Floats:
@@ -176,15 +265,32 @@ def _apart(before: float, after: float) -> float:
     return min(before, after, key=abs) if before * after > 0.0 else 0.0
 
 
-def _has_reason(readings: Readings, s: Series, run: int, before: Ints, after: Ints) -> bool:
-    """Whether a recorded channel differs from both neighbouring runs, too."""
-    state = readings.states[s.source]
-    rows = [s.row[np.isin(s.run, which)] for which in (run, before, after)]
+def _has_reason(readings: Readings, s: Series, jump: _Jump, changes: _Changes) -> bool:
+    """Whether a recorded channel differs from the runs before and after, too.
+
+    A channel that changed as much between other runs, while the readings did not follow, is no reason.
+    """
+    state, before, after = readings.states[s.source], changes.before, changes.after
+    mine, was_mine = jump.holds(after), jump.holds(before)
+    inside = np.arange(jump.first, jump.last + 1)
+    rows = [s.row[np.isin(s.run, which)] for which in (inside, before[mine & ~was_mine], after[was_mine & ~mine])]
     for name in (*readings.machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"):
         if name in state.channels:
             here, was, will = (float(np.nanmedian(state.channels[name][r])) for r in rows)
-            if (here - was) * (here - will) > 0.0 and min(abs(here - was), abs(here - will)) > real(
-                readings.machine, name
+            by = min(here - was, here - will, key=abs)
+            if (here - was) * (here - will) <= 0.0 or abs(by) <= real(readings.machine, name):
+                continue
+            middle = np.array([np.nanmedian(state.channels[name][s.row[s.run == k]]) for k in range(changes.runs)])
+            steps = (jump.by / by) * (middle[after] - middle[before])
+            if not _refuted(
+                steps[~mine & ~was_mine], changes.change[~mine & ~was_mine], after[~mine & ~was_mine], jump
             ):
                 return True
     return False
+
+
+def _refuted(expected: Floats, change: Floats, after: Ints, jump: _Jump) -> bool:
+    """Whether other steps of a channel should have moved the readings as far as the jump, and did not."""
+    runs = np.unique(after)
+    would, did = (np.array([np.median(v[after == k]) for k in runs]) for v in (expected, change))
+    return bool(would @ would >= jump.by**2 and would @ did < FOLLOWS * (would @ would))

@@ -9,6 +9,7 @@ import pytest
 
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.coverage import highest_degree
+from rtec.errors import ModelError
 from rtec.machine import Axis, load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -121,3 +122,28 @@ def test_a_file_that_names_its_component_is_fitted_there() -> None:
     named = replace(m, instrument=made, readings=dict(zip(made.columns(), m.readings.values(), strict=True)))
     result = wanted([named], "polynomial_position,scale")
     assert {f.effect.component for f in result.model.effects} == {"EYX"}
+
+
+def straight(noise_um: float, seed: int) -> Measurement:
+    """A slide without any error, read across its axis; numpy's noise, larger than any curve in it."""
+    m = taken("straightness", seed, {"direction": "Y"}, "X", (), targets={"step_mm": 23.7})
+    noise = np.random.default_rng(seed).normal(0.0, noise_um, len(m))
+    return replace(m, readings={"reading_um": noise})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_shape_along_the_axis_that_is_named_is_fitted_to_noise_too(seed: int) -> None:
+    """Oracle: the name; the readings are noise, so its numbers are within four standard errors of zero."""
+    result = wanted([straight(1.0, seed)], "straightness")
+    assert {(f.effect.effect, f.effect.component) for f in result.model.effects} == {("straightness", "EYX")}
+    assert all(c.se is not None and abs(c.value) < 4.0 * c.se for c in result.coefficients)
+
+
+def test_a_temperature_that_is_named_and_explains_nothing_is_refused_with_the_way_to_fit_it() -> None:
+    """Oracle: the way on that the message names fits it."""
+    m = straight(1.0, 1)
+    sensor = MILL.sensor_names[0]
+    m = replace(m, channels={**m.channels, sensor: 20.0 + np.linspace(0.0, 4.0, len(m))})
+    with pytest.raises(ModelError, match=r"none of the effects named \(mount_expansion\).*component and arguments"):
+        wanted([m], "mount_expansion")
+    assert len(wanted([m], f"mount_expansion:EYX:sensor={sensor}").model.effects) == 1

@@ -16,6 +16,8 @@ from rtec.estimation.candidates import library
 from rtec.estimation.noise import Noise, Whitener
 from rtec.estimation.readings import read
 from rtec.metrology.files.load import load_measurement
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support.diagnosis_examples import effects, small_machine, write_laser, write_machine
 
@@ -133,3 +135,47 @@ def test_a_lag_says_what_it_took_for_granted() -> None:
     (said,) = lag_assumed(readings, growth, {"tau": 9e4, "p": 1.0})
     assert "pause" not in said
     assert lag_assumed(readings, growth, {}) == ()
+
+
+def table(seed: int, *, recorded: bool) -> Measurement:
+    """Five runs of ISO 230-2 in 40 minutes while a part grows by numpy's exp; T_bed is absent, or rises with it."""
+    rng, machine = np.random.default_rng(seed), small_machine()
+    x = np.sort(np.linspace(8.0, 192.0, 10) + rng.uniform(-4.0, 4.0, 10))
+    place = np.tile(np.concatenate([x, x[::-1]]), 5)
+    time_s = 24.0 * np.arange(float(len(place)))
+    warm = 1.0 - np.exp(-time_s / 1500.0)
+    readings = 12.0 * warm * (place / 200.0) + rng.normal(0.0, 0.2, len(place))
+    channels = {"x": place, "d_x": np.tile(np.repeat([1.0, -1.0], 10), 5)}
+    channels |= {"T_bed": 20.0 + 6.0 * warm} if recorded else {}
+    made = make_instrument("laser_linear", {}, "X", None, machine, "iso")
+    return Measurement("iso", made, machine, np.repeat(np.arange(1, 6), 20), time_s, channels, {"reading_um": readings})
+
+
+TO_RECORD = (
+    ". No temperature was recorded, and heat that comes and goes looks like this. Record temperatures of the screw or "
+    "scale of X, spindle, column, bed, air"
+)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("known", [("scale,component=EXX,axis=X,k=20",), ()])
+def test_an_unnamed_error_of_place_and_time_says_which_temperatures_to_record(
+    seed: int, known: tuple[str, ...]
+) -> None:
+    """Oracle: no temperature is in the table; without a scale in the model a part of the growth has a name."""
+    model = Model(small_machine(), effects("backlash,component=EXX,axis=X,B=0.5", *known))
+    d = diagnose(model, [table(seed, recorded=False)], draws=50)
+    assert d.unknown is not None
+    assert d.unknown.channels == ("x", "time_s")
+    assert TO_RECORD in d.sentence
+    assert [doubt.kind for doubt in d.doubts] == ["no_temperature"]
+    assert d.verdict == "unknown_effect" or not known
+    assert not d.unknown.expression  # the time of a record is none of the next day
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_temperature_that_was_recorded_is_not_asked_for(seed: int) -> None:
+    model = Model(small_machine(), effects("scale,component=EXX,axis=X,k=20"))
+    d = diagnose(model, [table(seed, recorded=True)], draws=50)
+    assert "no_temperature" not in {doubt.kind for doubt in d.doubts}
+    assert "Record temperatures" not in d.sentence

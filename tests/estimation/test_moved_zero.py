@@ -49,6 +49,45 @@ def test_fit_leaves_it_out_and_says_so() -> None:
 
 
 @pytest.mark.parametrize(
+    "moved",
+    [[(3, 3), (6, 6), (9, 9)], [(5, 7)], [(4, 5), (8, 8)]],
+    ids=["three apart", "three in a row", "two and one"],
+)
+@pytest.mark.parametrize("warm", [False, True])
+def test_several_are_named(moved: list[tuple[int, int]], warm: bool) -> None:
+    """Oracle: the runs whose readings were moved by 15 µm here."""
+    good = expanding(50) if warm else laser(TRUTH, 3)
+    first = int(good.run[0])
+    mine = np.any([(good.run >= first + a) & (good.run <= first + b) for a, b in moved], axis=0)
+    bad = changed_at(good, 15.0 * mine)
+    found = moved_zeros(clean([bad]).readings)
+    assert [(f.run - first, f.last - first) for f in found] == moved
+    assert [f.by for f in found] == pytest.approx([15.0] * len(moved), abs=1.5)
+    texts = [f"run {first + a} is" if a == b else f"runs {first + a} to {first + b} are" for a, b in moved]
+    assert all(t in f.message for t, f in zip(texts, found, strict=True))
+    assert not found[0].readings[good.run == first].any()
+
+
+def test_the_middle_one_of_three_runs_is_named() -> None:
+    good = laser(TRUTH, 6)
+    few = changed(good, lambda run: np.where(run < run[0] + 3, 0.0, np.nan))
+    assert not moved_zeros(clean([few]).readings)
+    (found,) = moved_zeros(clean([changed(few, lambda run: np.where(run == run[0] + 1, 12.0, 0.0))]).readings)
+    assert found.run == good.run[0] + 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_temperature_that_changed_as_much_without_it_is_no_reason(seed: int) -> None:
+    """Oracle: T_air is 1 K off in the run that moved, and goes up and down by 2 K between others that did not move."""
+    good = laser(TRUTH, 60 + seed)
+    number = good.run - good.run[0]
+    course = np.array([0.0, 0.0, 0.0, 0.0, 2.0, 3.0, 2.0, 0.0, 2.0, 0.0, 1.0, 0.0] + [0.0] * 20)
+    warm = replace(good, channels={**good.channels, "T_air": 20.0 + course[number]})
+    (found,) = moved_zeros(clean([changed_at(warm, np.where(number == 5, 20.0, 0.0))]).readings)
+    assert found.run == good.run[0] + 5
+
+
+@pytest.mark.parametrize(
     "by",
     [
         lambda run: np.where(run > run[0] + 6, 40.0, 0.0),

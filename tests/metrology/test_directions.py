@@ -25,10 +25,22 @@ def walked(stops: list[float], past_mm: float) -> list[int]:
     return out
 
 
+STRAIGHTNESS = """[measurement]
+instrument = "straightness"
+axis = "X"
+machine = "turning-centre"
+[setup]
+direction = "Z"
+"""
+
+
 def measured(folder: Path, stops: list[float], more: str = "", values: str = "") -> Measurement:
-    rows = "\n".join(f"1,{2.5 * i},{x}{values},0.1" for i, x in enumerate(stops))
-    (folder / "laser-x.csv").write_text(f"run,time_s,x_mm{more},reading_um\n{rows}\n")
-    (folder / "laser-x.toml").write_text(TOML)
+    return written(folder, f"run,time_s,x_mm{more}", [f"1,{2.5 * i},{x}{values}" for i, x in enumerate(stops)])
+
+
+def written(folder: Path, names: str, rows: list[str], toml: str = TOML) -> Measurement:
+    (folder / "laser-x.csv").write_text(f"{names},reading_um\n" + "\n".join(f"{r},0.1" for r in rows) + "\n")
+    (folder / "laser-x.toml").write_text(toml)
     return load_measurement(folder / "laser-x.csv", machine())
 
 
@@ -62,6 +74,47 @@ def test_any_other_order_is_left_to_the_positions(tmp_path: Path, stops: list[fl
     assert ("d_x" in m.channels) == (more == ",dir_x")
 
 
+THERE_AND_BACK = [*TARGETS, *TARGETS[::-1], *TARGETS, *TARGETS[::-1]]
+
+
+def test_another_axis_that_moves_between_the_runs_changes_no_direction(tmp_path: Path) -> None:
+    rows = [f"{1 + i // 12},{2.5 * i},{x},{100 + 80 * (i // 12)}" for i, x in enumerate(THERE_AND_BACK)]
+    assert written(tmp_path, "run,time_s,x_mm,z_mm", rows).channels["d_x"].tolist() == walked(THERE_AND_BACK, 5.0)
+
+
+def test_an_axis_that_moves_within_the_runs_too_leaves_the_directions_to_the_positions(tmp_path: Path) -> None:
+    rows = [f"1,{2.5 * i},{x},{100 + i % 6}" for i, x in enumerate(THERE_AND_BACK)]
+    assert "d_x" not in written(tmp_path, "run,time_s,x_mm,z_mm", rows).channels
+
+
+def test_a_straightness_probe_that_reads_each_end_twice_was_overrun_there(tmp_path: Path) -> None:
+    rows = [f"1,{2.5 * i},{x}" for i, x in enumerate(THERE_AND_BACK)]
+    m = written(tmp_path, "run,time_s,x_mm", rows, STRAIGHTNESS)
+    assert m.channels["d_x"].tolist() == walked(THERE_AND_BACK, 5.0)
+    assert "no column dir_x: the axis is taken to go past both ends of each way" in m.notes
+
+
+@pytest.mark.parametrize("toml", [TOML, STRAIGHTNESS])
+def test_the_sign_of_a_recorded_velocity_is_the_direction(tmp_path: Path, toml: str) -> None:
+    """The ends are read on the way in and on the way out; targets in no order that positions alone would show."""
+    stops = [0.0, 10.0, 25.0, 25.0, 50.0, 50.0, 30.0, 0.0, 0.0, 0.0, 40.0]
+    signs = [1, 1, 1, 1, 1, -1, -1, -1, -1, 1, 1]
+    rows = [f"1,{2.5 * i},{x},{30 * d}" for i, (x, d) in enumerate(zip(stops, signs, strict=True))]
+    assert written(tmp_path, "run,time_s,x_mm,vx_mm_s", rows, toml).channels["d_x"].tolist() == signs
+
+
+def test_a_reading_at_velocity_zero_has_the_direction_of_the_last_motion(tmp_path: Path) -> None:
+    stops, speeds = [0.0, 10.0, 20.0, 20.0, 20.0, 10.0, 10.0], [0, 0, 30, -30, 0, 0, 30]
+    rows = [f"1,{2.5 * i},{x},{v}" for i, (x, v) in enumerate(zip(stops, speeds, strict=True))]
+    m = written(tmp_path, "run,time_s,x_mm,vx_mm_s", rows)
+    assert m.channels["d_x"].tolist() == [0, 1, 1, -1, -1, -1, 1]
+
+
+def test_velocities_that_are_all_zero_are_those_of_targets_read_at_rest(tmp_path: Path) -> None:
+    m = measured(tmp_path, THERE_AND_BACK, ",vx_mm_s", ",0")
+    assert m.channels["d_x"].tolist() == walked(THERE_AND_BACK, 5.0)
+
+
 @pytest.mark.parametrize("stops_s", [0.0, 2.0])
 def test_an_axis_that_keeps_its_feed_between_readings_was_read_on_the_run(tmp_path: Path, stops_s: float) -> None:
     """Two feeds, there and back; an axis that stops for two seconds at each target was at rest there."""
@@ -80,6 +133,7 @@ def test_an_axis_that_keeps_its_feed_between_readings_was_read_on_the_run(tmp_pa
         assert m.state().value("v_x").tolist() == [0.0] * 24
     else:
         assert m.channels["v_x"].tolist() == [10.0] * 6 + [-10.0] * 6 + [50.0] * 6 + [-50.0] * 6
+        assert m.channels["d_x"].tolist() == [1.0] * 6 + [-1.0] * 6 + [1.0] * 6 + [-1.0] * 6
         assert sum("went at its feed while it was read" in n for n in m.notes) == 1
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.heat import lag_assumed, substitute_sensor, unrecorded_heat
+from rtec.diagnosis.heat import heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown, label_of
 from rtec.diagnosis.search import picture
@@ -291,7 +291,7 @@ class _Answer:
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Doubts about the record, and about the machine file where the finding raises them."""
         if not (findings and findings[0].accepted):
-            slow = unrecorded_heat(self.readings, self.s.refits.current)
+            slow = unrecorded_heat(self.readings, self.s.refits.current) or self._heat_by_time()
             return (*self.s.doubts, *([slow] if slow is not None else []))
         first, out = self.s.refitted[0], list(self.s.doubts)
         asked = self._pitch(first)
@@ -308,7 +308,13 @@ class _Answer:
         read = {c for n in named for c in self.s.candidates[n].effect.channels(machine)}
         if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(read):
             slow = self._slow_beside(first, findings[0].size_um)
+        slow = slow or self._heat_by_time()
         return (*out, *(d for d in (substitute, slow) if d is not None))
+
+    def _heat_by_time(self) -> Doubt | None:
+        """Doubt that what has no name is heat: it depends on time, and no temperature changed."""
+        unknown = self.s.unknown
+        return heat_by_time(self.readings) if unknown is not None and "time_s" in unknown.channels else None
 
     def _slow_beside(self, first: Refitted, size_um: float) -> Doubt | None:
         """Doubt where more grows and falls slowly than the named effects explain, even if a candidate explains a part.
@@ -458,6 +464,8 @@ class _Answer:
         if unknown is None or self._typed is None:
             return unknown
         t = self._typed
+        if self._heat_by_time() is not None:
+            return replace(unknown, where=t.where)  # the time of this record is no channel of another day
         return replace(unknown, where=t.where, expression=t.expression, parameters=t.parameters, feeds=t.component)
 
     def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:

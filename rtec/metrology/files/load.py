@@ -17,6 +17,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from rtec.effects.derived import direction_update
 from rtec.errors import MeasurementError
 from rtec.files import whole, write_text
 from rtec.machine import Axis, Machine
@@ -111,6 +112,7 @@ def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
 
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 LIKE, MOST = 0.05, 0.8
 """An axis moved at its feed if its speed agrees within the first share, in the second share of readings."""
 LEAST = 3
@@ -119,16 +121,17 @@ LEAST = 3
 
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
 def on_the_run(
-    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], time_s: Floats
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, time_s: Floats
 ) -> dict[str, Floats]:
     """Velocity, by channel, of an axis that was read in motion: its positions and times agree with its feed.
 
-    An axis that stops at its targets takes longer from one to the next than at its feed.
+    An axis that stops at its targets takes longer from one to the next than at its feed. Another axis may have moved
+    between the runs.
 
     Returns:
         mm/s with the sign of the motion, (n,); empty where the feed was not recorded or a velocity was.
     """
-    moving = _moving(machine, channels)
+    moving = _moving(machine, channels, run)
     if not instrument.at_rest or "feed_mm_min" not in channels or len(moving) != 1:
         return {}
     if moving[0].velocity_channel in channels:
@@ -149,27 +152,68 @@ def on_the_run(
     return {moving[0].velocity_channel: out} if like >= max(LEAST, MOST * (len(feed) - 2 * len(edges))) else {}
 
 
-def _moving(machine: Machine, channels: Mapping[str, Floats]) -> list[Axis]:
-    return [a for a in machine.axes if a.channel in channels and np.ptp(channels[a.channel]) > a.dead_band_mm]
+def _moving(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> list[Axis]:
+    """Axes that move within a run."""
+    runs = [run == r for r in np.unique(run)]
+    recorded = [a for a in machine.axes if a.channel in channels]
+    return [a for a in recorded if any(np.ptp(channels[a.channel][r]) > a.dead_band_mm for r in runs)]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
-def approached(instrument: Instrument, machine: Machine, channels: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Directions of approach for an instrument that reads targets at rest, by direction channel.
+def by_velocity(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> dict[str, Floats]:
+    """Directions by the sign of the recorded velocity, by direction channel, of the one axis that moves within runs.
+
+    A reading at velocity zero has the direction of `approached`, else of the last motion. A velocity without a sign, or
+    with the wrong one, contradicts the positions between two turns, and gives no result.
+
+    Returns:
+        -1 or +1 for each reading, 0 before the first motion, (n,), of the axis if it has no direction of its own.
+    """
+    moving = _moving(machine, channels, run)
+    if len(moving) != 1 or moving[0].direction_channel in channels or moving[0].velocity_channel not in channels:
+        return {}
+    axis = moving[0]
+    position, sign = channels[axis.channel], np.sign(channels[axis.velocity_channel])
+    way = np.where(np.abs(np.diff(position)) > axis.dead_band_mm, np.sign(np.diff(position)), 0.0)
+    agrees = (np.where(way[1:] == way[:-1], way[1:], 0.0) * sign[1:-1]).astype(np.int64)
+    if not sign.any() or np.count_nonzero(agrees > 0) < MOST * np.count_nonzero(agrees):
+        return {}
+    at_rest = _approach(axis, position)
+    last = _last(axis, position, sign) if at_rest is None else at_rest
+    return {axis.direction_channel: np.where(sign == 0.0, last, sign)}
+
+
+def _last(axis: Axis, position_mm: Floats, sign: Floats) -> Floats:
+    """Last direction of motion at each reading, by its velocity, or by the positions where that is zero, (n,)."""
+    out, direction, extreme = np.zeros(len(sign)), 0.0, float(position_mm[0])
+    for i, (at, way) in enumerate(zip(position_mm.tolist(), sign.tolist(), strict=True)):
+        if way:
+            direction, extreme = way, at
+        else:
+            direction, extreme = direction_update(direction, extreme, at, axis.dead_band_mm)
+        out[i] = direction
+    return out
+
+
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
+def approached(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> dict[str, Floats]:
+    """Directions of approach of an axis that is read at targets, by direction channel.
 
     Between two readings of the target at the end of a way the axis has gone past it and returned (ISO 230-2). An axis
     that jumps back to repeat the same way has gone past the first target. The positions alone show neither: by them the
     axis has not moved, or moved the other way. Both cases are recognised where each end is read exactly twice as often
-    as a target between them, or where every way has the same direction. Any other order gives no result.
+    as a target between them, or where every way has the same direction. Any other order gives no result. Another axis
+    may have moved between the runs.
 
     Returns:
-        -1 or +1 for each reading, (n,), of each such axis without a direction or a velocity of its own.
+        -1 or +1 for each reading, (n,), of the one axis that moves within runs, if it has no direction of its own and
+        no velocity but zero.
     """
-    moving = _moving(machine, channels)
-    if not instrument.at_rest or len(moving) != 1:
+    moving = _moving(machine, channels, run)
+    if len(moving) != 1 or moving[0].direction_channel in channels:
         return {}
     axis = moving[0]
-    if {axis.direction_channel, axis.velocity_channel} & set(channels):
+    if axis.velocity_channel in channels and channels[axis.velocity_channel].any():
         return {}
     found = _approach(axis, channels[axis.channel])
     return {} if found is None else {axis.direction_channel: found}
@@ -245,12 +289,13 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     run = raw.columns["run"].astype(np.int64)
     channels = {columns[c]: v for c, v in raw.columns.items() if c in columns}
     written = {channel: column for column, channel in columns.items()}
-    runs = on_the_run(instrument, machine, channels, raw.columns["time_s"])
+    runs = on_the_run(instrument, machine, channels, run, raw.columns["time_s"])
     notes += [
         f"no column {written[c]}: by its positions and times the axis went at its feed while it was read" for c in runs
     ]
     channels |= runs
-    sides = approached(instrument, machine, channels)
+    channels |= by_velocity(machine, channels, run)
+    sides = approached(machine, channels, run)
     notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]
     return Measurement(
         name=table.stem,

@@ -1,0 +1,82 @@
+"""Spindle drift (ISO 230-3) where no axis moves: which link of the column turns.
+
+Oracle: the cross product of the angle and the vector from the link to the probe, in numpy.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.candidates import visible
+from rtec.estimation.readings import read
+from rtec.machine import Machine, load_machine
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+
+Floats = NDArray[np.float64]
+MACHINE = """[machine]
+name = "hmc"
+tool_chain = ["X", "Y", "spindle", "tool"]
+work_chain = ["Z", "table"]
+[axis]
+X = { direction = "X", travel_mm = [0, 600], counts_per_mm = 1000, offset_mm = [0, 200, -600] }
+Y = { direction = "Y", travel_mm = [0, 450], counts_per_mm = 1000, offset_mm = [0, 300, 250] }
+Z = { direction = "Z", travel_mm = [0, 520], counts_per_mm = 1000, offset_mm = [0, 150, 500] }
+[link]
+spindle.offset_mm = [0, 0, 150]
+tool.offset_mm = [0, 0, 200]
+table.offset_mm = [0, 100, 0]
+"""
+SENSORS = ("T_front", "T_rear", "T_head", "T_bed")
+POSE_MM = {"x": 300.0, "y": 200.0, "z": 250.0}
+PROBES = {"x1": ("X", 0.0), "x2": ("X", -80.0), "y1": ("Y", 0.0), "y2": ("Y", -80.0), "z1": ("Z", 0.0)}
+"""Direction, and offset along the arbor, mm."""
+FROM_MM = {"EAX": (0.0, 500.0, 600.0), "EAY": (0.0, 0.0, 350.0), "EA0spindle": (0.0, 0.0, 200.0)}
+"""From the link that turns to the tool at this pose."""
+
+
+def machine(folder: Path) -> Machine:
+    sensors = "".join(f"[temperature.{s}]\nrange_degc = [0.0, 90.0]\n" for s in SENSORS)
+    (folder / "machine.toml").write_text(MACHINE + sensors)
+    return load_machine(folder / "machine.toml")
+
+
+def drift(folder: Path, component: str, seed: int) -> Measurement:
+    """Eight hours; the link turns by 8 µrad per kelvin between front and rear."""
+    rng, made, time_s = np.random.default_rng(seed), machine(folder), np.arange(0.0, 8 * 3600.0, 160.0)
+    warm = {s: 20.0 + sum(a * (1.0 - np.exp(-np.maximum(time_s - t, 0.0) / tau)) for a, t, tau in zip(
+        rng.uniform(-4.0, 5.0, 3), rng.uniform(0.0, 20000.0, 3), rng.uniform(900.0, 9000.0, 3), strict=True
+    )) for s in SENSORS}  # fmt: skip
+    turn = np.zeros((len(time_s), 3))
+    turn[:, "ABC".index(component[1])] = 8e-3 * (warm["T_front"] - warm["T_rear"])
+    readings: dict[str, Floats] = {}
+    for probe, (letter, along) in PROBES.items():
+        moved = np.cross(turn, np.add(FROM_MM[component], (0.0, 0.0, along)))
+        readings[f"reading_{probe}_um"] = moved[:, "XYZ".index(letter)] + rng.normal(0.0, 0.1, len(time_s))
+    setup = {"probe": {p: {"direction": d, "offset_mm": [0.0, 0.0, o]} for p, (d, o) in PROBES.items()}}
+    channels = {**{a: np.full(len(time_s), v) for a, v in POSE_MM.items()}, **warm}
+    instrument = make_instrument("spindle_drift", setup, None, None, made, "drift")
+    return Measurement("drift", instrument, made, np.ones(len(time_s), dtype=np.int64), time_s, channels, readings)
+
+
+@pytest.mark.parametrize("component", FROM_MM)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_link_that_turns_is_named(tmp_path: Path, component: str, seed: int) -> None:
+    m = drift(tmp_path, component, seed)
+    first, *rest = diagnose(Model(m.machine), [m], draws=50).findings
+    assert first.accepted
+    assert (first.effect.effect, first.effect.component) == ("column_tilt", component)
+    assert {"T_front", "T_rear"} == set(first.effect.channels(m.machine))
+    assert not any(f.group for f in rest)
+    assert abs(next(iter(first.parameters.values())).value) == pytest.approx(8.0, rel=0.05)
+
+
+def test_only_tilts_of_the_chain_of_the_spindle_that_differ_are_candidates(tmp_path: Path) -> None:
+    """A turn about the arbor is a shift of both probes along X, or is not seen; the table is on another chain."""
+    m = drift(tmp_path, "EAX", 1)
+    tilts = [v.name for v in visible(read([m])) if v.axis is not None]
+    assert tilts == ["EAX", "EBX", "EAY", "EBY"]
