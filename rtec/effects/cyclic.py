@@ -18,6 +18,9 @@ PER_PERIOD = 4.0
 """A harmonic is tried only if its period is at least this many times the widest gap between phases of readings."""
 
 
+PITCH_MM, TURNS = 40.0, 3.0
+"""Longest pitch of teeth or poles; a longer period is of what turns, at least so often along the travel: a curve along
+the axis explains fewer turns as well."""
 ROUNDING = 1e-6
 
 
@@ -181,12 +184,12 @@ class InterpolationError(_Wave):
 
 
 class CyclicPole(_Wave):
-    """A wave whose period is not the screw's: teeth of a rack or gear, poles of a linear motor."""
+    """A wave whose period is not the screw's: teeth of a rack, turns of a gear or pinion, poles of a linear motor."""
 
     about: ClassVar[About] = About(
         title="Cyclic error of a gear, rack or linear motor",
         equation="e = s·sin(2π·q/p) + c·cos(2π·q/p), p to be found",
-        typical="0.2-5 µm, p 3-32 mm",
+        typical="0.2-5 µm, p 3-300 mm",
         seen_by=("laser_linear", "grid_encoder"),
         source="catalogue A1",
         confusions=(
@@ -198,8 +201,8 @@ class CyclicPole(_Wave):
     effect: Literal["cyclic_pole"] = "cyclic_pole"
 
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`period`: tooth or pole pitch."""
+        """`period`: pitch of teeth or poles; or circumference of what turns, three of which fit into the travel."""
         low, high = self.the_axis(machine).travel_mm
-        longest = min(40.0, 0.4 * (high - low))
+        longest = min(max(PITCH_MM, (high - low) / TURNS), 0.4 * (high - low))
         start = min(16.0, 0.8 * longest)
         return (Parameter("period", "mm", start, min(2.5, 0.2 * longest), longest, start),)

@@ -2,13 +2,14 @@
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
+from rtec.effects.cyclic import PITCH_MM, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
@@ -194,11 +195,18 @@ def _late(effect: Effect) -> Effect | None:
 
 
 def _candidate(effect: Effect, readings: Readings) -> EffectCandidate | None:
+    """An effect with its grid; None where it does not fit the machine.
+
+    At targets at equal steps a long wave looks like a short one near the step, and that is the more usual of the two.
+    """
     try:
         effect.check(readings.machine, "diagnose")
     except ModelError:
         return None
-    return EffectCandidate(effect, tuple(_thetas(within_record(effect, readings.measurements), readings)))
+    parameters = within_record(effect, readings.measurements)
+    if isinstance(effect, CyclicPole) and _fold_mm(readings) > 0.0:
+        parameters = [replace(p, high=min(p.high, PITCH_MM)) for p in parameters]
+    return EffectCandidate(effect, tuple(_thetas(parameters, readings)))
 
 
 def _thetas(parameters: Sequence[Parameter], readings: Readings) -> Iterator[Mapping[str, float]]:

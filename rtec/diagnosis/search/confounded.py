@@ -145,6 +145,8 @@ AT_PITCH = 0.03
 """A period within this relative distance of the screw's pitch is that of the screw."""
 ASKS = ("cyclic_pole", "coupling_misalignment")
 """Waves that a screw of another pitch causes as well."""
+LONGEST_PITCH_MM = 60.0
+"""No screw has a longer pitch."""
 
 
 def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine) -> Alike | None:
@@ -153,7 +155,7 @@ def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine)
     Twice a turn without a wave once a turn may be a screw of half the pitch or a coupling.
     """
     period = period_mm(effect, theta)
-    if effect.effect not in ASKS or period is None:
+    if effect.effect not in ASKS or period is None or period > LONGEST_PITCH_MM:
         return None
     axis = machine.axis(str(getattr(effect, "axis", "")))
     if axis.pitch_mm is None or abs(period / axis.pitch_mm - 1.0) < AT_PITCH:

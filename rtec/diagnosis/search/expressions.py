@@ -107,15 +107,16 @@ class Form:
     grows: int | None = None
 
 
-def forms_of(spans: Sequence[Span], period: float | None) -> Iterator[Form]:
+def forms_of(spans: Sequence[Span], period: float | None, harmonics: int = 0) -> Iterator[Form]:
     """Forms over one variable or two.
 
     Args:
         spans: the variables.
         period: of a wave along the first, in its unit; None where there is none.
+        harmonics: of the wave, beyond the first.
     """
     if period is not None:
-        yield from _waves(spans, period)
+        yield from _waves(spans, period, harmonics)
         return
     if len(spans) == 1:
         yield from _of_one(spans[0])
@@ -162,8 +163,8 @@ def _local(span: Span) -> Iterator[tuple[Literal["hump", "step"], str, tuple[Exp
     yield "step", f"tanh(({span.name} - centre)/width)", (centre, width)
 
 
-def _waves(spans: Sequence[Span], period: float | None) -> Iterator[Form]:
-    """An even wave, and waves whose height grows with a variable or along their own axis."""
+def _waves(spans: Sequence[Span], period: float | None, harmonics: int = 0) -> Iterator[Form]:
+    """An even wave, also with harmonics, and waves whose height grows with a variable or along their own axis."""
     first = spans[0]
     span_length = first.high - first.low
     if period is not None:
@@ -178,6 +179,9 @@ def _waves(spans: Sequence[Span], period: float | None) -> Iterator[Form]:
         searched = ExpressionSearch("period", shortest, longest, grid)
     waves = [f"{f}(2*pi*{first.name}/period)" for f in ("sin", "cos")]
     yield Form("wave", _sum(waves), (searched,))
+    if harmonics:
+        more = [f"{f}({2 * k}*pi*{first.name}/period)" for k in range(2, harmonics + 2) for f in ("sin", "cos")]
+        yield Form("wave", _sum([*waves, *more]), (searched,))
     for place, span in enumerate(spans):
         yield Form("wave", _sum([*waves, *(f"{span.scaled}*{w}" for w in waves)]), (searched,), grows=place)
 
@@ -241,13 +245,14 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
         return None
     keep = looked_at(readings)
     few = readings if keep.all() else readings.without(~keep)
+    harmonics = shaped.shape.fine[0] if len(shaped.shape.over) == 1 else 0
     known = shaped.fit.whitener
     whitener = known if few is readings else replace(known, readings=few)
     projected = Projected.of(whitener, base[keep], few.values)
     weighed = [
         t
         for component in _components(few, projected, shaped)
-        for form in forms_of(spans, shaped.shape.period)
+        for form in forms_of(spans, shaped.shape.period, harmonics)
         if (t := _best(few, projected, form, component)) is not None
     ]
     top = max((t.evidence for t in weighed), default=0.0)

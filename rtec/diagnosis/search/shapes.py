@@ -8,7 +8,7 @@ waves, and waves that grow.
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -59,7 +59,8 @@ class Shape:
     Attributes:
         group: reading columns that it acts on, in words for people.
         over: its variables, by their names in `Ground.known`.
-        fine: number of basis functions along each; of a periodic shape, powers of the variable that changes its height.
+        fine: number of basis functions along each; of a periodic shape, the harmonics beyond the first or the powers of
+            the variable that changes its height.
         period: of a periodic shape, in the unit of its first variable; None for a smooth one.
         place: of a hump or a step; None for anything else.
     """
@@ -138,7 +139,7 @@ class Ground:
 
     def _made(self, shapes: Sequence[Shape]) -> tuple[Floats, Ints]:
         """Waves along one variable, humps and steps are computed together: there are hundreds."""
-        if len({(s.group, s.over, s.place and s.place.form, s.period is None) for s in shapes}) == 1:
+        if len({(s.group, s.over, s.place and s.place.form, s.period is None, s.fine) for s in shapes}) == 1:
             value, mask = self.known[shapes[0].over[0]][:, None], self.groups[shapes[0].group][:, None]
             places = [s.place for s in shapes if s.place is not None]
             if places:
@@ -146,7 +147,7 @@ class Ground:
                 return local_curve(places[0].form, (value - centre) / width) * mask, np.ones(
                     len(places), dtype=np.int64
                 )
-            if shapes[0].period is not None and len(shapes[0].over) == 1:
+            if shapes[0].period is not None and shapes[0].fine == (0,):
                 angle = value * (2.0 * np.pi / np.array([s.period for s in shapes]))
                 wave = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(len(value), -1)
                 return wave * mask, np.full(len(shapes), 2)
@@ -161,7 +162,7 @@ class Ground:
 
     def _wave(self, shape: Shape) -> Floats:
         angle = self.known[shape.over[0]] * (2.0 * np.pi / (shape.period or 1.0))
-        wave = np.stack([np.sin(angle), np.cos(angle)], axis=1)
+        wave = np.stack([f(k * angle) for k in range(1, shape.fine[0] + 2) for f in (np.sin, np.cos)], axis=1)
         if len(shape.over) == 1:
             return wave
         u = _unit(self.known[shape.over[1]])
@@ -242,9 +243,14 @@ DETAIL, BEND = 9, 2
 """Number of basis functions of a fine curve along a position, and of its change with another variable."""
 OWN, OTHER = 2, 1
 """Powers of a wave's own position, or of another variable, that its height changes with."""
+HARMONICS, EACH = (1, 3), 4
+"""Harmonics beyond the first of a wave that is no sine, such as a sawtooth; and places for each of its numbers: of
+fewer places many harmonics explain anything that comes again in every run."""
 PERIODS = 240
 CYCLES = (2.5, 0.2)
 """Fewest periods in the span; a period is longer than this many typical steps."""
+PHASES = 8
+"""Halvings of the step between two periods of the grid: what stays is a hundredth of a turn at the ends of the span."""
 LEADERS = 6
 """Number of variables that surfaces over two combine."""
 CHUNK = 96
@@ -287,7 +293,7 @@ def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
         ]
         out += [*lines, *plain, *weigh_all(ground, projected, rich), *_waves(ground, projected, group, moving)]
         for name in moving:
-            if len(np.unique(np.round(ground.known[name][mask], 3))) >= CENTRES:
+            if _places(ground.known[name][mask]) >= CENTRES:
                 out += _local(ground, projected, group, name)
     return sorted(out, key=lambda w: -w.log_evidence)
 
@@ -386,19 +392,41 @@ def _along(ground: Ground, moving: Sequence[str], leaders: Sequence[str]) -> Ite
 
 
 def _waves(ground: Ground, projected: Projected, group: str, moving: Sequence[str]) -> list[Weighed]:
-    """Waves along positions; the best of each also with a height that grows with another variable or its position."""
+    """Waves along positions; the best of each also with harmonics, and with a height that grows with a variable."""
     out: list[Weighed] = []
     mask = ground.groups[group]
     for name in moving:
         waves = (Shape(group, (name,), (0,), float(p)) for p in periods(ground.known[name][mask]))
-        found = weigh_all(ground, projected, waves)
+        found = weigh_all(ground, projected, waves)[:3]
+        found[:1] = [_refined(ground, projected, w) for w in found[:1]]
         grown = [
             Shape(group, (name, other), (0, OWN if other == name else OTHER), w.shape.period)
             for w in found[:1]
             for other in ground.known
         ]
-        out += [*found[:3], *weigh_all(ground, projected, grown)]
+        places = _places(ground.known[name][mask])
+        most = [more for more in HARMONICS if EACH * 2 * (more + 1) <= places]
+        pointed = [replace(w.shape, fine=(more,)) for w in found[:1] for more in most]
+        sharp = [_refined(ground, projected, w) for w in weigh_all(ground, projected, pointed)]
+        out += [*found, *sharp, *weigh_all(ground, projected, grown)]
     return out
+
+
+def _refined(ground: Ground, projected: Projected, best: Weighed) -> Weighed:
+    """A wave with its period refined between the neighbours in the grid, by steps that halve.
+
+    Between two periods of the grid a wave is out of phase at the ends of the span; one whose height changes along the
+    span would make up for that.
+    """
+    value = ground.known[best.shape.over[0]][ground.groups[best.shape.group]]
+    grid = 1.0 / periods(value)
+    step = float(grid[1] - grid[0]) if len(grid) > 1 else 0.0
+    for _ in range(PHASES):
+        step *= 0.5
+        middle = 1.0 / (best.shape.period or 1.0)
+        beside = (replace(best.shape, period=1.0 / f) for f in (middle - step, middle + step))
+        best = max([best, *weigh_all(ground, projected, beside)], key=lambda w: w.log_evidence)
+    return best
 
 
 CENTRES, WIDTHS, NARROWEST, WIDEST = 24, 6, 0.01, 0.3
@@ -432,6 +460,11 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
             )
         out += best
     return out
+
+
+def _places(value: Floats) -> int:
+    """Number of different places."""
+    return len(np.unique(np.round(value, 3)))
 
 
 def periods(value: Floats) -> Floats:
