@@ -9,6 +9,7 @@ import numpy as np
 
 from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.improve import Improved
+from rtec.diagnosis.extend.record_event import words
 from rtec.diagnosis.words import UNITS, sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
@@ -110,6 +111,8 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
             f"{refit}{added} added: the residual on held-out runs fell from {before} to "
             f"{after} {unit}; the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {_why_ended(r)}."
         )
+    if r.events:
+        lead = f"{lead} {words(r.events)}"
     steps = [
         Section(f"Step {i}: {', '.join(s.labels)}", _before_and_after(s).text, _before_and_after(s).table)
         for i, s in enumerate(r.steps, 1)

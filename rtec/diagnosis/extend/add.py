@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.extend.parameter_scan import scan_ranges
+from rtec.diagnosis.extend.record_event import note_of, of_record
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
@@ -417,7 +418,8 @@ def _judged(
     )
     better = after_it.held_out < (1.0 - WORTH) * before.held_out
     smooth = _with_smooth(after, now.scale)
-    notes = (*after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
+    of_time = (note_of(f.effect) for f in new if of_record(f.effect, model.machine))
+    notes = (*of_time, *after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
     return Added(made, added, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from, own_kept=own)
 
 

@@ -17,6 +17,7 @@ from rtec.diagnosis.extend.add import (
     rival_notes,
     rivals_of,
 )
+from rtec.diagnosis.extend.record_event import RecordEvent, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import further_temperature, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
@@ -75,6 +76,7 @@ class Improved(Result):
         reason: why the search ended.
         refit: of the model's own numbers before all steps, where it lowered the held-out error.
         cancelling: effects of which these readings determine only the sum, where that refused the last addition.
+        events: what happened in one record; no term of the model.
     """
 
     page_maker: ClassVar[str] = "rtec.report.history:improved_page"
@@ -85,6 +87,7 @@ class Improved(Result):
     reason: Reason
     refit: Added | None = None
     cancelling: tuple[str, ...] = ()
+    events: tuple[RecordEvent, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
         """One row for each added effect, with the error on held-out runs before and after it."""
@@ -105,6 +108,7 @@ class Improved(Result):
             "reason": self.reason,
             "refit": self.refit.facts() if self.refit else None,
             "steps": [s.facts() for s in self.steps],
+            "events": [vars(e) for e in self.events],
             "last_diagnosis": self.diagnoses[-1].facts() if self.diagnoses else None,
             "model_sha256": self.model.hash,
         }
@@ -142,10 +146,27 @@ def improve(
     check_enough(measurements)
     given = clean(measurements, model.reference_degc).without_ends()
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
+    done = _improved(growth, model, ask, ask_made, step)
+    return replace(done, events=tuple(growth.events))
+
+
+def _improved(
+    growth: "_Growth",
+    model: Model,
+    ask: Callable[[ProposedStep], Finding | None] | None,
+    ask_made: Callable[[Added], bool] | None,
+    step: Callable[[Added], None] | None,
+) -> Improved:
+    """Refit, then add; arguments as of `improve`."""
     refit = growth.refit(model, ask_made is None)
     if refit is None:
         return growth.grown(model, ask, ask_made)
     found = growth.diagnosed(model)
+    while growth.takes_out(found, model):
+        refit = growth.refit(model, ask_made is None)
+        if refit is None:
+            return growth.grown(model, ask, ask_made)
+        found = growth.diagnosed(model)
     if found.verdict == "undecided":  # refitted numbers would absorb an unknown cause
         return Improved(model, (), (found,), "undecided")
     if found.verdict == "nothing_missing" and not found.out_of_date:  # nor are they refitted to a drift
@@ -178,6 +199,7 @@ class _Growth:
         step: Callable[[Added], None] | None,
     ) -> None:
         self.cancelling: tuple[str, ...] = ()
+        self.events: list[RecordEvent] = []
         self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
         self.best = residual_size(start.effects, given.readings)
         again = any(m.fingerprint in start.measurements.values() for m in measurements)
@@ -206,6 +228,25 @@ class _Growth:
         return diagnose(
             model, self.measurements, seed=seed, alpha=alpha, draws=draws, stage=self.stage, given=self.given
         )
+
+    def takes_out(self, found: Diagnosis, model: Model, chosen: Finding | None = None) -> bool:
+        """Whether an effect of the time is named: then the readings get it as an unknown of their record.
+
+        Args:
+            found: the diagnosis.
+            model: what it diagnosed.
+            chosen: the candidate in question; None for the first one where it was accepted.
+        """
+        if chosen is None and found.verdict in ("missing_effect", "ambiguous") and found.findings[0].accepted:
+            chosen = found.findings[0]
+        if chosen is None or not of_record(chosen.effect, model.machine) or len(self.events) >= MOST:
+            return False
+        readings = self.given.readings
+        out, events = taken_out(readings, Judgement(model, self.given).left, chosen)
+        self.given = replace(self.given, readings=out)
+        self.events += events
+        self.best = residual_size(model.effects, out)
+        return bool(events)
 
     def grown(
         self,
@@ -243,10 +284,14 @@ class _Growth:
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
-            # An effect that these data cannot distinguish from it may replace it, except an event at an instant.
+            if of_record(picked.effect, model.machine):
+                if self.takes_out(found, model, picked):
+                    continue
+                return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
+            # An effect that these data cannot distinguish from it may replace it, except one of the time.
             # Where several are missing together, the first alone may gain nothing: then any of the sure ones may begin.
             others = [f for f in found.findings[1:] if f.group or (found.together and f.log_evidence > SURE)]
-            others = [f for f in others if f.heldout_drop > 0.0 and "t0" not in f.theta]
+            others = [f for f in others if f.heldout_drop > 0.0]
             if choice.partner is not None:  # of a pair, each alone
                 others = [choice.partner, replace(choice, partner=None)]
             others = [] if ask else others
@@ -284,7 +329,8 @@ class _Growth:
         Chosen one by one, the second could explain a part of the third.
         """
         waiting: list[FittedEffect] = []
-        for member in found.together if len(found.together) > 1 else ():
+        members = [m for m in found.together if not of_record(m.fitted.effect, model.machine)]
+        for member in members if len(members) > 1 else ():
             waiting.append(new_effect(member.fitted.effect, model, member.fitted.theta, member.fitted.values))
             added = self._gaining(model, waiting)
             if added is not None:
@@ -307,6 +353,8 @@ class _Growth:
     def _gaining(self, model: Model, new: Sequence[FittedEffect]) -> Added | None:
         """The model with effects, where they are worth it and not confounded with it on the loop's channels."""
         if any(is_there(model, n) or hardly_varied(model, n.effect, self.given.readings) for n in new):
+            return None
+        if any(of_record(n.effect, model.machine) for n in new):
             return None
         try:
             added = self._added(model, new)

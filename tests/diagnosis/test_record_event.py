@@ -1,0 +1,92 @@
+"""Events of one record, which no model for other days can hold. Oracle: what was done to the file, and another day."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.extend.add import add, new_effect
+from rtec.diagnosis.extend.improve import Improved, improve
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from rtec.report.history import improved_page
+from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
+
+KNOWN = [
+    "scale,component=EXX,axis=X,k=30", "backlash,component=EXX,axis=X,B=3",
+    "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=9",
+]  # fmt: skip
+HIDDEN = "cyclic_screw,component=EXX,axis=X,harmonics=1,s1=1.5,c1=0,pitch=5"
+JUMP_UM = 9.0
+
+
+def known() -> Model:
+    return Model(small_machine(), effects(*KNOWN), name="known")
+
+
+def jumped(m: Measurement, share: float = 0.5) -> tuple[Measurement, float]:
+    """The same with another zero from a run on, and the time at which that run begins."""
+    runs = np.unique(m.run)
+    later = m.run >= runs[int(share * len(runs))]
+    read = {k: v + JUMP_UM * later for k, v in m.readings.items()}
+    return replace(m, readings=read), float(m.time_s[np.argmax(later)])
+
+
+def rms(model: Model, m: Measurement) -> float:
+    return compare(model, [m]).judged.residual
+
+
+@cache
+def after_a_jump() -> tuple[Improved, float]:
+    m, at = jumped(laser([*KNOWN, HIDDEN], 21))
+    return improve(known(), [m], draws=50), at
+
+
+def test_a_zero_that_moved_is_not_written_into_the_model() -> None:
+    m, at = jumped(laser(KNOWN, 11))
+    assert diagnose(known(), [m], draws=50).findings[0].effect.effect == "missed_counts"
+    done = improve(known(), [m], draws=50)
+    assert not done.steps
+    assert done.model.hash == known().hash
+    assert done.reason == "nothing_missing"
+    (event,) = done.events
+    assert event.size == pytest.approx(JUMP_UM, abs=0.3)
+    assert event.time_s == pytest.approx(at, abs=60.0)
+
+
+def test_the_other_effects_are_found_beside_it_and_another_day_is_predicted() -> None:
+    done, at = after_a_jump()
+    assert [s.labels for s in done.steps] == [("cyclic_screw(EXX, X)",)]
+    (event,) = done.events
+    assert event.time_s == pytest.approx(at, abs=60.0)
+    other = laser([*KNOWN, HIDDEN], 22)
+    assert rms(done.model, other) < 1.1 * NOISE_UM < 0.5 * rms(known(), other)
+
+
+def test_numbers_that_are_out_of_date_do_not_follow_it() -> None:
+    """The backlash has grown from 3 to 5 µm."""
+    worn = [KNOWN[0], KNOWN[1].replace("B=3", "B=5"), KNOWN[2]]
+    done = improve(known(), [jumped(laser(worn, 31, protocol="cold", cycles=8))[0]], draws=50)
+    assert done.refit is not None
+    assert len(done.events) == 1
+    assert rms(done.model, laser(worn, 32, protocol="cold", cycles=8)) < 1.1 * NOISE_UM
+
+
+def test_it_is_reported_with_the_time_and_what_to_do() -> None:
+    done, _ = after_a_jump()
+    lead = improved_page(done, figures=False).lead
+    assert "laser-x-21: at " in lead
+    assert "between run 9 and run 10, the readings jump by +9" in lead
+    assert "not written into the model" in lead
+    assert done.facts()["events"][0]["measurement"] == "laser-x-21"
+
+
+def test_added_by_hand_it_warns() -> None:
+    m, at = jumped(laser(KNOWN, 11))
+    (effect,) = effects(f"missed_counts,component=EXX,axis=X,q=5,t0={at}")
+    made = add(known(), [new_effect(effect.effect, known(), {"t0": at})], [m])
+    assert made.better
+    assert any("missed_counts(EXX, X) belongs to this record" in n for n in made.notes)
