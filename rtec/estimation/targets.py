@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect
 from rtec.effects.cyclic import CouplingMisalignment, CyclicPole, CyclicScrew, InterpolationError
+from rtec.estimation.display import display_errors
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.readings import Readings
 from rtec.machine import Axis
@@ -39,7 +40,8 @@ def targets_along(readings: Readings, axis: Axis, component: str) -> int:
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
     """Whether a wave predicts held-out targets; also true for any other effect, and with more than `FEW` targets.
 
-    A wave of known period is tested as well: several of them fit any few numbers.
+    A wave of known period is tested as well: several of them fit any few numbers. Where the targets differ by no more
+    than the display rounds, no effect of the position alone predicts them.
 
     Args:
         readings: the readings.
@@ -49,19 +51,22 @@ def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: S
     """
     machine = readings.machine
     axis = next((a for a in machine.axes if (a.channel,) == effect.channels(machine)), None)
-    searched = bool(effect.nonlinear(machine)) and len(thetas) > 1
-    if axis is None or not (searched or isinstance(effect, WAVES)):
+    if axis is None:
         return True
     position = np.concatenate([readings.states[s.source].value(axis.channel)[s.row] for s in readings.series])
     seen = np.flatnonzero(readings.arms(effect.component))
     target = np.unique(np.round(position[seen] / TARGET_MM), return_inverse=True)[1]
     count = np.bincount(target)
-    if len(count) > FEW:
+    left = without_nuisance(readings, readings.values - base @ solve(base, readings.values))
+    mean = np.bincount(target, left[seen]) / count
+    rounded = display_errors(readings, base)[np.unique(readings.series_of[seen])]
+    if float(np.std(mean)) <= float(rounded.min()):
+        return False
+    searched = bool(effect.nonlinear(machine)) and len(thetas) > 1
+    if len(count) > FEW or not (searched or isinstance(effect, WAVES)):
         return True
     if len(count) <= 2 * BEND:
         return False
-    left = without_nuisance(readings, readings.values - base @ solve(base, readings.values))
-    mean = np.bincount(target, left[seen]) / count
     # One reading of each target represents the wave there.
     first = np.unique(target, return_index=True)[1]
     order = np.argsort(first)

@@ -1,17 +1,24 @@
 """What has no name in the catalogue. Oracle: what the benchmark's own physics hid."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
+from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.shapes import Ground, LocalPlace, Shape
 from rtec.estimation.readings import read
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from tests.support.diagnosis_examples import laser, small_machine
+from tests.support.diagnosis_examples import effects, laser, small_machine
+
+Floats = NDArray[np.float64]
 
 
 @pytest.mark.parametrize(("what", "seed"), [("bump", 2), ("step", 1), ("step", 2), ("sawtooth", 1)])
@@ -94,3 +101,46 @@ def test_no_heat_is_named_for_a_shape_of_place_and_load(seed: int) -> None:
     heat = {c for c in m.channels if c.startswith("T_")}
     named = [m.fitted.effect for m in d.together] or [f.effect for f in d.findings[:1] if f.accepted]
     assert not any(heat & set(e.channels(m.machine)) for e in named), d.sentence
+
+
+def at_few_targets(curve: Callable[[Floats], Floats], seed: int) -> Diagnosis:
+    """Twelve targets at unequal steps, nine times there and back; the model knows the scale error and the backlash."""
+    machine, rng = small_machine(), np.random.default_rng(seed)
+    at = np.linspace(5.0, 195.0, 12) + rng.uniform(-4.0, 4.0, 12)
+    x = np.tile(np.concatenate([at, at[::-1]]), 9)
+    n, day = len(x), np.linspace(0.0, 1.0, len(x))
+    channels = {"x": x, "d_x": np.tile(np.repeat([1.0, -1.0], 12), 9), "T_bed": 20.0 + 2.0 * day, "T_air": 21.0 - day}
+    readings = {"reading_um": curve(x) + 0.01 * x + 0.2 * rng.standard_normal(n)}
+    made = make_instrument("laser_linear", {}, "X", None, machine, "test")
+    m = Measurement(
+        "few", made, machine, np.repeat(np.arange(1, 10), 24), np.linspace(0.0, 9.0 * n, n), channels, readings
+    )
+    known = effects("scale,component=EXX,axis=X,k=0", "backlash,component=EXX,axis=X,B=0")
+    return diagnose(Model(machine, known, name="known"), [m], draws=50, explain=True)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("form", ["hump", "step"])
+def test_a_hump_or_a_step_at_few_targets_is_no_curve_of_many_numbers(form: str, seed: int) -> None:
+    centre = 60.0 + 25.0 * seed
+    place = LocalPlace("hump" if form == "hump" else "step", centre, 22.0 if form == "hump" else 8.0)
+    d = at_few_targets(lambda x: 3.0 * place.curve(x), seed)
+    assert d.verdict == "unknown_effect"
+    assert d.unknown is not None
+    assert d.unknown.channels == ("x",)
+    assert form in d.unknown.where
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_curve_of_many_numbers_at_few_targets_is_still_named(seed: int) -> None:
+    heights = 3.0 * np.random.default_rng(seed).choice([-1.0, 1.0], 11) * np.tile([1.0, 0.4], 6)[:11]
+    d = at_few_targets(lambda x: np.interp(x, np.linspace(0.0, 200.0, 11), heights), seed)
+    assert d.unknown is None
+    assert d.findings[0].accepted
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_a_bow_at_few_targets_is_still_named(degree: int) -> None:
+    d = at_few_targets(lambda x: 3.0 * (x / 100.0 - 1.0) ** degree, 1)
+    assert d.unknown is None
+    assert d.findings[0].accepted

@@ -293,7 +293,7 @@ def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
         ]
         out += [*lines, *plain, *weigh_all(ground, projected, rich), *_waves(ground, projected, group, moving)]
         for name in moving:
-            if _places(ground.known[name][mask]) >= CENTRES:
+            if _places(ground.known[name][mask]) >= FEWEST_PLACES:
                 out += _local(ground, projected, group, name)
     return sorted(out, key=lambda w: -w.log_evidence)
 
@@ -430,7 +430,9 @@ def _refined(ground: Ground, projected: Projected, best: Weighed) -> Weighed:
 
 
 CENTRES, WIDTHS, NARROWEST, WIDEST = 24, 6, 0.01, 0.3
-"""Number of places and widths of humps and steps in the grid, and the limits of the widths as shares of the span."""
+"""Number of centres and widths of humps and steps in the grid, and the limits of the widths as shares of the span."""
+FEWEST_PLACES = 10
+"""With fewer different places a hump or a step is one or two of them."""
 HALVINGS = 3
 
 
@@ -438,7 +440,7 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
     """The best hump and the best step along a position."""
     mine = ground.known[name][ground.groups[group]]
     span = float(np.ptp(mine))
-    apart, ratio = span / CENTRES, (WIDEST / NARROWEST) ** (1.0 / (WIDTHS - 1))
+    apart = span / CENTRES
     centres = float(mine.min()) + apart * (np.arange(CENTRES) + 0.5)
     forms: tuple[Literal["hump", "step"], ...] = ("hump", "step")
 
@@ -447,7 +449,10 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
 
     out: list[Weighed] = []
     for form in forms:
-        best = weighed(LocalPlace(form, float(c), NARROWEST * span * ratio**k) for c in centres for k in range(WIDTHS))
+        # Among few places a narrower hump would be a single one; a step divides them however narrow it is.
+        narrowest = max(NARROWEST, 1.0 / _places(mine)) if form == "hump" and _places(mine) < CENTRES else NARROWEST
+        ratio = (WIDEST / narrowest) ** (1.0 / (WIDTHS - 1))
+        best = weighed(LocalPlace(form, float(c), narrowest * span * ratio**k) for c in centres for k in range(WIDTHS))
         step, factor = apart, ratio
         for _ in range(HALVINGS):
             step, factor = 0.5 * step, factor**0.5

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import FINE, Ground, Shape, Weighed, all_shapes, weigh
+from rtec.estimation.display import display_errors, within_display
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
@@ -58,7 +59,7 @@ def best_shapes(
         held_out_gain: relative fall of the mean square on held-out runs, and whitened gain, by columns beside the base.
 
     Returns:
-        Shapes that predict held-out runs better.
+        Shapes that predict held-out runs better and are larger than the error of the instrument's display.
     """
     keep = looked_at(readings)
     subset = readings if keep.all() else readings.without(~keep)
@@ -80,7 +81,13 @@ def best_shapes(
         evidence -= 0.5 * (w.count + local) * math.log(len(readings)) + searched
         return Shaped(w.shape, columns, found, evidence, *held_out_gain(found.whitener, columns))
 
-    return [s for s in each(shaped, _picked(screens), len(readings)) if s.holds]
+    errors = display_errors(readings, base)
+
+    def shows(s: Shaped) -> bool:
+        part = s.columns @ s.fit.values[base.shape[1] :][: s.columns.shape[1]]
+        return not within_display(readings, base, part, errors)
+
+    return [s for s in each(shaped, _picked(screens), len(readings)) if s.holds and shows(s)]
 
 
 def _picked(screens: Sequence[Sequence[Weighed]]) -> list[Weighed]:
