@@ -277,11 +277,10 @@ def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> lis
 
 
 def _is_forced(one: TermCandidate, machine: Machine) -> bool:
-    """Whether a named effect is fitted without a choice: geometry up to quadratic is; temperatures are chosen."""
-    effect = one.term.effect
-    places = {c for a in machine.axes for c in (a.channel, a.direction_channel)}
-    other = one.kind == "other" and one.direct and not one.term.theta and places.issuperset(effect.channels(machine))
-    geometry = other or one.kind in ("position", "direction", "cyclic")
+    """Whether a named effect is fitted without a choice: geometry of one axis up to quadratic is; others are chosen."""
+    effect, other = one.term.effect, one.kind == "other" and one.direct and not one.term.theta
+    along = any({a.channel, a.direction_channel}.issuperset(effect.channels(machine)) for a in machine.axes)
+    geometry = (other and along) or one.kind in ("position", "direction", "cyclic")
     return geometry and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
 
 

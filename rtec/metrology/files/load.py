@@ -154,9 +154,14 @@ def on_the_run(
 
 def _moving(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> list[Axis]:
     """Axes that move within a run."""
-    runs = [run == r for r in np.unique(run)]
-    recorded = [a for a in machine.axes if a.channel in channels]
-    return [a for a in recorded if any(np.ptp(channels[a.channel][r]) > a.dead_band_mm for r in runs)]
+    order = np.argsort(run, kind="stable")
+    first = np.flatnonzero(np.diff(run[order], prepend=run[order[0]] - 1))
+
+    def moves(axis: Axis) -> bool:
+        at = channels[axis.channel][order]
+        return bool(np.any(np.maximum.reduceat(at, first) - np.minimum.reduceat(at, first) > axis.dead_band_mm))
+
+    return [a for a in machine.axes if a.channel in channels and moves(a)]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
