@@ -28,6 +28,7 @@ from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series, looked_at
 from rtec.machine import Axis
+from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.history import steps_of
 
@@ -36,7 +37,7 @@ Floats = NDArray[np.float64]
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
     "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
-    "instrument_warm_up", "between_files", "dead_sensor",
+    "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -44,6 +45,8 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
         "wrong_channel",
         "swapped_sensors",
         "moved_origin",
+        "turned_axis",
+        "late_temperatures",
         "contradiction",
         "corrected",
         "instrument_warm_up",
@@ -64,12 +67,17 @@ NEAR_REFIT = 1.15
 """Or, for a factor, at most this many times the residual with the model's own numbers refitted."""
 BY_FAR = 0.1
 """Or, for a factor, at most this share of the residual: out-of-date numbers may cause the rest."""
+AGAIN, NEAR_FIT = 0.85, 1.15
+"""Or, of readings that the model was not fitted to: below this share of the current residual, and at most this many
+times what the fit left."""
 SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and number of places in the grid."""
 AS_GOOD = 1.1
 """An explanation whose residual is within this factor of another's is equally good."""
 THIN = 200
 """Fewest readings for the first search of the place."""
+LATE, LATES = 1 / 3, 41
+"""How far the clock of the temperatures may be off, as a share of the record, and number of instants in the grid."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
 NO_UNIT = (5.0, 0.2, 2.0, 0.5)
 """Factors that no unit of length has: of a position the model's own numbers, out of date, look so."""
@@ -212,7 +220,9 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
     if judged.residual < ABOVE * judged.noise_floor or not moves:
         return None
     few = judged.readings.without(~looked_at(judged.readings))
-    edits = _Edits(judged.model, few, judged.scale)
+    usual = _error_of_fit(judged.model, judged.unit, judged.readings.measurements)
+    met = usual is not None and usual < NEAR_FLOOR * judged.noise_floor
+    edits = _Edits(judged.model, few, judged.scale, met)
     found = min(edits.possible(), key=lambda e: e.residual, default=None)
     if found is None:
         return None
@@ -220,7 +230,33 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
     if found.kind == "wrong_channel":
         # A refit of the numbers compensates a factor.
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
-    return found if found.residual <= min(BETTER * judged.residual, near) else None
+    if found.residual <= min(BETTER * judged.residual, near):
+        return found
+    return found if found.fatal and _as_in_the_fit(judged, found.residual) else None
+
+
+def _as_in_the_fit(judged: Judgement, residual: float) -> bool:
+    """Whether an edit of a record leaves what the fit left, and new numbers of no single effect do.
+
+    An edit has one number. Several effects that all changed by just as much are less likely than a fault of the record.
+    """
+    readings = judged.readings
+    usual = _error_of_fit(judged.model, judged.unit, readings.measurements)
+    if usual is None or residual > min(AGAIN * judged.residual, NEAR_FIT * max(usual, judged.noise_floor)):
+        return False
+    for fitted in judged.model.effects:
+        columns = floor.cleaned(readings, readings.columns(fitted.effect, fitted.theta))
+        if judged.pooled(judged.left - columns @ solve(columns, judged.left)) < AS_GOOD * residual:
+            return False
+    return True
+
+
+def _error_of_fit(model: Model, unit: str, measurements: Sequence[Measurement]) -> float | None:
+    """What a model left of the readings of its fit; None where that is unknown, or some of these are among them."""
+    steps = [s for s in steps_of(model) if s["unit"] == unit != "noise"]
+    if not steps or any(m.fingerprint in model.measurements.values() for m in measurements):
+        return None
+    return float(steps[-1]["error"]) if model.measurements else None
 
 
 def _left_by_scale(judged: Judgement, measured: Floats, predicted: Floats) -> float:
@@ -237,6 +273,10 @@ def _whole_noise(judged: Judgement) -> float:
     """Root mean square of the noise together with the slow drift that no channel explains."""
     whole = np.array([math.hypot(f.value, f.drift) for f in judged.floors])
     return floor.pooled(judged.readings, whole, judged.scale)
+
+
+Replaced = dict[str, Callable[[State], Floats]]
+"""Channels replaced: of each, what it becomes from the state of a measurement."""
 
 
 @dataclass(frozen=True)
@@ -261,8 +301,9 @@ class _Edit:
 class _Edits:
     """Edits that only a file can need: a channel in another unit, two labels exchanged, an axis homed elsewhere."""
 
-    def __init__(self, model: Model, readings: Readings, scale: Floats) -> None:
-        self.model, self.readings, self.scale = model, readings, scale
+    def __init__(self, model: Model, readings: Readings, scale: Floats, met: bool = False) -> None:
+        """Edits of readings; `met`: the model was fitted to others, and left no more than noise of them."""
+        self.model, self.readings, self.scale, self.met = model, readings, scale, met
         machine = model.machine
         self.read = {c for f in model.effects for c in f.effect.channels(machine)}
         self.parts = [self._part(f, readings) for f in model.effects]
@@ -275,7 +316,7 @@ class _Edits:
 
     def possible(self) -> list[_Edit]:
         """Every edit that is possible here."""
-        return [*self._factors(), *self._exchanged(), *self._moved()]
+        return [*self._factors(), *self._exchanged(), *self._moved(), *self._turned(), *self._late()]
 
     def residuals(self, edits: Sequence[Mapping[str, Callable[[State], Floats]]]) -> Floats:
         """Root mean square of the residual with some channels replaced, (edits,); infinite where that is impossible.
@@ -364,38 +405,126 @@ class _Edits:
                 yield _Edit(float(residual), "swapped_sensors", f"{one} and {two} exchanged", suspect, "their labels")
 
     def _moved(self) -> Iterator[_Edit]:
-        from scipy.optimize import minimize_scalar
-
         for axis in self.model.machine.axes:
             if axis.channel not in self.read:
                 continue
 
-            def moved(by_mm: float, channel: str = axis.channel) -> dict[str, Callable[[State], Floats]]:
+            def moved(by_mm: float, channel: str = axis.channel) -> Replaced:
                 return {channel: lambda s: s.channels[channel] + by_mm}
 
-            def left(by_mm: float, at: Callable[[float], dict[str, Callable[[State], Floats]]] = moved) -> float:
+            def left(by_mm: float, at: Callable[[float], Replaced] = moved) -> float:
                 return float(self.residuals([at(by_mm)])[0])
 
             low, high = self._room(axis)
             if high - low < REAL["mm"]:
                 continue
-            grid = np.linspace(low, high, SHIFTS)
-            best = float(grid[np.argmin(self._thin.residuals([moved(by) for by in grid]))])
-            step = float(grid[1] - grid[0])
-            bounds = max(best - step, low), min(best + step, high)
-            by = float(minimize_scalar(left, bounds=bounds, method="bounded").x)
+            by = self._place(moved, low, high)
             edit = f"{axis.channel} moved by {by:+.3g} mm"
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
             found = left(by)
             apart = self._shifted(axis) > AS_GOOD * found
             yield _Edit(found, "moved_origin", edit, suspect, f"the origin of {axis.name}", fatal=apart)
 
+    def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float:
+        """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all."""
+        from scipy.optimize import minimize_scalar
+
+        grid = np.linspace(low, high, SHIFTS)
+        best = float(grid[np.argmin(self._thin.residuals([at(v) for v in grid]))])
+        step = float(grid[1] - grid[0])
+        bounds = max(best - step, low), min(best + step, high)
+        return float(minimize_scalar(lambda v: self.residuals([at(v)])[0], bounds=bounds, method="bounded").x)
+
+    def _turned(self) -> Iterator[_Edit]:
+        """An axis whose positions were counted from the other end: x is c - x, and its direction the other one."""
+        for axis in self.model.machine.axes:
+            if axis.channel not in self.read:
+                continue
+
+            def turned(about_mm: float, axis: Axis = axis) -> Replaced:
+                out: Replaced = {axis.channel: lambda s: about_mm - s.channels[axis.channel]}
+                for name in (axis.direction_channel, axis.velocity_channel):
+                    if all(name in s.channels for s in self.readings.states):
+                        out[name] = lambda s, c=name: -s.channels[c]  # type: ignore[misc]
+                return out
+
+            (low, high), (first, last) = axis.travel_mm, self._reached(axis)
+            beyond = BEYOND * (high - low)
+            if last - first < REAL["mm"] or low - beyond + last > high + beyond + first:
+                continue
+            about = self._place(turned, low - beyond + last, high + beyond + first)
+            middle, found = self.residuals([turned(low + high), turned(about)])
+            about = low + high if middle < AS_GOOD * found else about
+            yield _Edit(
+                float(self.residuals([turned(about)])[0]),
+                "turned_axis",
+                f"{axis.name} turned round ({axis.channel} read as {about:.4g} mm - {axis.channel})",
+                f"{axis.name} may have been counted from its other end",
+                f"the direction of {axis.name} in that file",
+            )
+
+    def _reached(self, axis: Axis) -> tuple[float, float]:
+        """Smallest and largest position of an axis in the readings, mm."""
+        places = np.concatenate([s.channels[axis.channel] for s in self.readings.states])
+        return float(np.nanmin(places)), float(np.nanmax(places))
+
+    def _late(self) -> Iterator[_Edit]:
+        """Temperatures by another clock than the readings; where their record has ended, readings are left out."""
+        from scipy.optimize import minimize_scalar
+
+        if not self.met:
+            return  # a delay that the model lacks moves the temperatures as well
+        names = sorted(self.read & set(self.model.machine.sensor_names))
+        span = max((float(np.ptp(s.time_s)) for s in self.readings.states if len(s)), default=0.0)
+        if not names or span <= 0.0:
+            return
+
+        def moved(by_s: float) -> Replaced:
+            return {n: lambda s, c=n: np.interp(s.time_s + by_s, s.time_s, s.channels[c]) for n in names}  # type: ignore[misc]
+
+        def left(by_s: float, few: "_Edits" = self) -> float:
+            """Residual with the temperatures moved, no less of the current one than where these are known."""
+            there = few._within(by_s)
+            now, current = there.residuals([moved(by_s), {}])
+            return float(max(now, few._current * now / max(current, 1e-300)))
+
+        grid = np.linspace(-LATE * span, LATE * span, LATES)
+        best = float(grid[np.argmin([left(by, self._thin) for by in grid])])
+        step = float(grid[1] - grid[0])
+        by = float(minimize_scalar(left, bounds=(best - step, best + step), method="bounded").x)
+        way = "earlier" if by > 0.0 else "later"
+        yield _Edit(
+            left(by),
+            "late_temperatures",
+            f"all temperatures moved {abs(by) / 60.0:.0f} min {way}",
+            "their clock may not be that of the readings",
+            "the time of both",
+        )
+
+    def _within(self, by_s: float) -> "_Edits":
+        """The same with the readings at which moved channels are known."""
+        times = [s.time_s for s in self.readings.states]
+        out = [
+            (t < times[s.source][0] - by_s) | (t > times[s.source][-1] - by_s)
+            for s in self.readings.series
+            for t in [s.time_s]
+        ]
+        drop = np.concatenate(out)
+        if not drop.any() or drop.all():
+            return self
+        there = np.array([not drop[s.part].all() for s in self.readings.series])
+        return _Edits(self.model, self.readings.without(drop), self.scale[there])
+
+    @cached_property
+    def _current(self) -> float:
+        """Root mean square of the residual without an edit."""
+        return float(self.residuals([{}])[0])
+
     def _room(self, axis: Axis) -> tuple[float, float]:
         """Smallest and largest shift of an origin, mm: positions stay within the travel."""
         low, high = axis.travel_mm
         reach, beyond = SHIFT * (high - low), BEYOND * (high - low)
-        places = np.concatenate([s.channels[axis.channel] for s in self.readings.states])
-        first, last = float(np.nanmin(places)), float(np.nanmax(places))
+        first, last = self._reached(axis)
         return max(-reach, low - beyond - first), min(reach, high + beyond - last)
 
     def _shifted(self, axis: Axis) -> float:
