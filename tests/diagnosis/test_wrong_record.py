@@ -110,3 +110,13 @@ def test_a_delay_that_the_model_lacks_on_the_readings_of_its_fit_is_no_clock() -
     m = day(lags, 41)
     poor = add(Model(small_machine(), effects(*KNOWN), name="known"), [], [m]).model
     assert not diagnose(poor, [m], draws=50).doubts
+
+
+@pytest.mark.parametrize("seed", [61, 65])
+def test_numbers_do_not_follow_an_instrument_that_warms_up(seed: int) -> None:
+    """Oracle: 1.2 µm (1 - exp(-t/1 h)) was taken from the readings; the machine is as it was."""
+    m = day(KNOWN, seed, {"air_degc": 20.0, "body": {"T_bed": {"on_degc": 4.0}}})
+    warms = {k: v - 1.2 * (1.0 - np.exp(-m.time_s / 3600.0)) for k, v in m.readings.items()}
+    done = improve(fitted(), [replace(m, readings=warms)], draws=50)
+    assert done.reason == "unknown_effect"
+    assert done.model.hash == fitted().hash

@@ -171,12 +171,20 @@ def _improved(
         return Improved(model, (), (found,), "undecided")
     if found.verdict == "nothing_missing" and not found.out_of_date:  # nor are they refitted to a drift
         return Improved(model, (), (found,), "nothing_missing")
+    if ask_made is None and _changes_slowly(found, model.machine):
+        return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
     if ask_made is not None and not ask_made(refit):
         return growth.grown(model, ask, ask_made)
     if step:
         step(refit)
     growth.own = 0
     return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
+
+
+def _changes_slowly(found: Diagnosis, machine: Machine) -> bool:
+    """Whether what has no name follows a temperature or the time: numbers of the model would follow it, too."""
+    channels = set(found.unknown.channels) if found.unknown is not None else set()
+    return bool(channels & {*machine.sensor_names, "time_s"})
 
 
 class _Growth:
