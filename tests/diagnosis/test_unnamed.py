@@ -144,3 +144,58 @@ def test_a_bow_at_few_targets_is_still_named(degree: int) -> None:
     d = at_few_targets(lambda x: 3.0 * (x / 100.0 - 1.0) ** degree, 1)
     assert d.unknown is None
     assert d.findings[0].accepted
+
+
+def follows(time_s: Floats, drive: Floats, tau_s: float) -> Floats:
+    """First-order lag behind a drive, at even times."""
+    out, step = np.empty_like(drive), float(time_s[1] - time_s[0])
+    out[0] = drive[0]
+    for k in range(1, len(drive)):
+        out[k] = out[k - 1] + (drive[k] - out[k - 1]) * step / (tau_s + step)
+    return out
+
+
+def heated_and_cooled(seed: int, along: bool = False) -> Measurement:
+    """Eleven runs; in the pauses a part is heated or not. The error turns where it is half warm, as a joint that lifts.
+
+    The other temperature follows the first as a neighbour does; both sensors lag. `along` makes it bend along X, too.
+    """
+    machine, rng = small_machine(), np.random.default_rng(seed)
+    runs = 11
+    at = np.linspace(5.0, 195.0, 12) + rng.uniform(-4.0, 4.0, 12)
+    x = np.tile(np.concatenate([at, at[::-1]]), runs)
+    n, run = len(x), np.repeat(np.arange(runs), 24)
+    pause_s = rng.uniform(900.0, 2400.0, runs)
+    time_s = 9.0 * np.arange(n) + np.concatenate([[0.0], pause_s.cumsum()[:-1]])[run]
+    t = np.arange(-600.0, time_s[-1] + 60.0, 20.0)
+    begin = np.interp(t, time_s, run)
+    resting = np.abs(begin - np.round(begin)) > 1e-9
+    hot = resting & np.isin(np.floor(begin), rng.choice(np.arange(2, runs - 2), 4, replace=False))
+    warm = follows(t, 9.0 * hot, 1800.0)
+    near = follows(t, 0.6 * warm + 0.8 * np.sin(t / 4000.0 + seed), 5000.0)
+    body = {"T_bed": warm, "T_air": near}
+    channels = {"x": x, "d_x": np.tile(np.repeat([1.0, -1.0], 12), runs)}
+    for s, value in body.items():
+        sensed = np.interp(time_s, t, follows(t, value, 120.0)) + 0.015 * rng.standard_normal(n)
+        channels[s] = np.round(16.0 * (20.0 + sensed)) / 16.0
+    true = np.interp(time_s, t, warm)
+    error = 2.5 * np.abs(true - np.quantile(true, 0.6)) * (2.0 * (x / 100.0 - 1.0) ** 2 if along else 1.0)
+    readings = {"reading_um": error + 0.3 * rng.standard_normal(n)}
+    made = make_instrument("laser_linear", {}, "X", None, machine, "test")
+    return Measurement("warm", made, machine, run + 1, time_s, channels, readings)
+
+
+def depends_on(m: Measurement) -> tuple[str, ...]:
+    known = effects("scale,component=EXX,axis=X,k=0", "backlash,component=EXX,axis=X,B=0")
+    d = diagnose(Model(small_machine(), known, name="known"), [m], draws=50)
+    return d.unknown.channels if d.unknown is not None else ()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 8, 11, 17, 21, 22])
+def test_only_the_temperature_that_matters_is_named(seed: int) -> None:
+    assert depends_on(heated_and_cooled(seed)) == ("T_bed",)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_position_and_a_temperature_are_named_where_both_matter(seed: int) -> None:
+    assert set(depends_on(heated_and_cooled(seed, along=True))) == {"x", "T_bed"}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.search.screen import Projected
-from rtec.diagnosis.search.shapes import FINE, Ground, Shape, Weighed, all_shapes, weigh
+from rtec.diagnosis.search.shapes import FINE, LINE, Ground, Shape, Weighed, all_shapes, weigh
 from rtec.estimation.display import display_errors, within_display
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Whitener
@@ -118,6 +118,8 @@ def _richness(w: Weighed) -> int:
 
 LOSES = 0.05
 """A variable is named only where the held-out mean square without it is larger by more than this share."""
+COARSE = 3
+"""Number of basis functions of the coarsest curve that takes the place of a surface."""
 
 
 def without_idle(
@@ -142,11 +144,13 @@ def without_idle(
         return _instead_of_time(top, ground, base, fit, held_out_gain)
     alone = [t for t in others if t.shape.group == top.shape.group and len(t.shape.variables) == 1]
     found = [t for t in alone if t.shape.variables[0] in top.shape.variables]
-    for name in top.shape.over:
-        shape = Shape(top.shape.group, (name,), (FINE,))
-        columns = ground.columns(shape)
-        made = fit(np.concatenate([base, columns], axis=1))
-        found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
+    # A fine curve over what differs mostly from run to run predicts no other run: coarser ones are tried as well.
+    for name, own in zip(top.shape.over, top.shape.fine, strict=True):
+        for fine in sorted({COARSE, own, LINE, FINE} - {0}):
+            shape = Shape(top.shape.group, (name,), (fine,))
+            columns = ground.columns(shape)
+            made = fit(np.concatenate([base, columns], axis=1))
+            found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
     best = max(found, key=lambda t: t.drop)
     if 1.0 - best.drop > (1.0 + LOSES) * (1.0 - top.drop):
         return top
