@@ -146,6 +146,13 @@ def test_a_bow_at_few_targets_is_still_named(degree: int) -> None:
     assert d.findings[0].accepted
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_wave_of_hardly_more_than_a_turn_is_a_bow_and_no_step(seed: int) -> None:
+    """It rises over four tenths of the travel."""
+    d = at_few_targets(lambda x: 0.25 * np.sin(1.2 * np.pi * (x / 100.0 - 1.0) + 0.8 * seed), seed)
+    assert any(f.accepted for f in d.findings)
+
+
 def follows(time_s: Floats, drive: Floats, tau_s: float) -> Floats:
     """First-order lag behind a drive, at even times."""
     out, step = np.empty_like(drive), float(time_s[1] - time_s[0])

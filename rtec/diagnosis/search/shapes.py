@@ -431,8 +431,9 @@ def _refined(ground: Ground, projected: Projected, best: Weighed) -> Weighed:
 
 CENTRES, WIDTHS, NARROWEST, WIDEST = 24, 6, 0.01, 0.3
 """Number of centres and widths of humps and steps in the grid, and the limits of the widths as shares of the span."""
-FEWEST_PLACES = 10
-"""With fewer different places a hump or a step is one or two of them."""
+FEWEST_PLACES, LOCAL, STEEP = 10, 0.15, 0.075
+"""With fewer different places a hump or a step is one or two of them. Up to `CENTRES` places, the largest widths of a
+hump and of a step, as shares of the span: a quarter of it at half of the height, and a sixth for most of the rise."""
 HALVINGS = 3
 
 
@@ -449,9 +450,12 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
 
     out: list[Weighed] = []
     for form in forms:
-        # Among few places a narrower hump would be a single one; a step divides them however narrow it is.
-        narrowest = max(NARROWEST, 1.0 / _places(mine)) if form == "hump" and _places(mine) < CENTRES else NARROWEST
-        ratio = (WIDEST / narrowest) ** (1.0 / (WIDTHS - 1))
+        narrowest, widest = NARROWEST, WIDEST
+        if _places(mine) < CENTRES:
+            # Among few places a narrower hump would be a single one; a step divides them however narrow it is. A wider
+            # one is a bow.
+            narrowest, widest = (max(NARROWEST, 1.0 / _places(mine)), LOCAL) if form == "hump" else (NARROWEST, STEEP)
+        ratio = (widest / narrowest) ** (1.0 / (WIDTHS - 1))
         best = weighed(LocalPlace(form, float(c), narrowest * span * ratio**k) for c in centres for k in range(WIDTHS))
         step, factor = apart, ratio
         for _ in range(HALVINGS):
