@@ -19,6 +19,8 @@ from rtec.characterise.warnings import FEW_BLOCKS
 from rtec.effects import Effect
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
+from rtec.estimation import floor
+from rtec.estimation.columns import base_of
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.gram.fit import Estimate, estimate
 from rtec.estimation.gram.identifiable import check_seen, tellable
@@ -34,6 +36,7 @@ from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
+from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -51,6 +54,9 @@ WORSE = 1.01
 QUADRATIC = 2
 PLACES = ("position", "region", "cyclic")
 """Kinds of what depends on positions only."""
+POOR, REFERENCES = 3.0, 4
+"""A law that leaves more than this many times the noise of several files is asked about the sign of each; and this many
+of them are fitted alone for that, at most."""
 PITCHES = 41
 """Number of pitches at which a wave is fitted without the held-out targets."""
 
@@ -84,7 +90,7 @@ def characterise(
         given, doubt = _given(measurements, leave_out_h)
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
         made = assemble(fit, screened, choice, given, name, margin or Margin())
-        first = [doubt] if doubt else []
+        first = [doubt] if doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
         first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
         return replace(made, warnings=(*first, *made.warnings))
 
@@ -118,6 +124,32 @@ def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tu
     return clean(rest, leave_out_h=leave_out_h).without_ends(), Warn(
         "contradiction", text, f"{found.check}; put right, fit again"
     )
+
+
+def _of_wrong_scale(model: Model, given: Clean, wanted: AskedEffects | None, leave_out_h: float | None) -> list[Warn]:
+    """Warn of files that follow a fit of another file with the other sign or in another unit.
+
+    Where days differ, the same places read differently for good reasons, and only the laws of both days show it. This
+    takes a fit of a file, so only a law that leaves much of all of them is asked about.
+    """
+    judged, files = Judgement(model, given), given.readings.measurements
+    if len(files) < 2 or judged.residual < POOR * judged.noise_floor:
+        return []
+    readings = given.readings
+    found: list[str] = []
+    measured = floor.cleaned(readings, readings.values)
+    for m in files[:REFERENCES]:
+        try:
+            there = clean([m], leave_out_h=leave_out_h).without_ends()
+            alone = model_of(_fit(there, None, wanted, leave_out_h, None)[0], "", Margin())
+            predicted = floor.cleaned(readings, base_of(alone, readings).predicted)
+        except (ModelError, Fault):
+            continue
+        odd = odd_scales(readings, measured, predicted, f"a fit of {m.name} alone")
+        if odd and (not found or len(odd) < len(found)):
+            found = list(odd)
+    step = "look at the sign and the unit of both files; without the wrong one, fit again"
+    return [Warn("contradiction", "; ".join(f.rstrip("?") for f in found), step)] if found else []
 
 
 def _without_moved_zeros(given: Clean) -> tuple[Clean, Warn | None]:

@@ -14,7 +14,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import State
 from rtec.errors import ModelError
 from rtec.estimation import floor
@@ -27,6 +26,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series, looked_at
+from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Axis
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model

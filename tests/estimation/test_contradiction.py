@@ -133,3 +133,15 @@ def test_a_model_that_is_wrong_makes_no_contradiction_of_two_days() -> None:
     ]
     law = effects(*BENT, "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=80")
     assert contradiction(Judgement(Model(days[0].machine, law, name="wrong"), clean(days))) is None
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1.0])
+def test_a_fit_warns_of_a_turned_file_of_a_warmer_day(factor: float) -> None:
+    """Heat adds a third to the warm day's line, so it is no mirror image of the other: only the law shows the sign."""
+    law = ["scale,component=EXX,axis=X,k=60", HEAT, "backlash,component=EXX,axis=X,B=3"]
+    files = [laser(law, 21, thermal={"body": {"T_bed": {"on_degc": 3.0}}}), laser(law, 22, thermal=HOT)]
+    other = replace(files[1], readings={k: factor * v for k, v in files[1].readings.items()})
+    made = characterise([files[0], other])
+    texts = [w.text for w in made.warnings if w.code == "contradiction"]
+    assert bool(texts) == (factor < 0.0)
+    assert all("what is measured is minus what a fit of laser-x-2" in t for t in texts)

@@ -21,7 +21,6 @@ from rtec.diagnosis.extend.record_event import note_of, of_record
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
-from rtec.diagnosis.wrong_scale import check_scales
 from rtec.effects import Effect, all_effects, effect_class
 from rtec.effects.registry import check_effect
 from rtec.errors import ModelError
@@ -34,6 +33,7 @@ from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
+from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin

@@ -19,28 +19,29 @@ NEAR = 0.2
 """Relative deviation of a factor from its nominal value, at most."""
 INCH = 25.4
 FACTORS = {
-    -1.0: "is minus what the model predicts: is the sign of the readings right?",
-    1e-3: "is a thousandth of what the model predicts: are the readings in mm?",
-    -1e-3: "is minus a thousandth of what the model predicts: are the readings in mm, with the other sign?",
-    1e3: "is a thousand times what the model predicts: are the readings in nm?",
-    -1e3: "is minus a thousand times what the model predicts: are the readings in nm, with the other sign?",
-    1.0 / INCH: "is 1/25.4 of what the model predicts: are the readings in thousandths of an inch?",
-    -1.0 / INCH: "is -1/25.4 of what the model predicts: are they in thousandths of an inch, with the other sign?",
+    -1.0: "is minus what {} predicts: is the sign of the readings right?",
+    1e-3: "is a thousandth of what {} predicts: are the readings in mm?",
+    -1e-3: "is minus a thousandth of what {} predicts: are the readings in mm, with the other sign?",
+    1e3: "is a thousand times what {} predicts: are the readings in nm?",
+    -1e3: "is minus a thousand times what {} predicts: are the readings in nm, with the other sign?",
+    1.0 / INCH: "is 1/25.4 of what {} predicts: are the readings in thousandths of an inch?",
+    -1.0 / INCH: "is -1/25.4 of what {} predicts: are they in thousandths of an inch, with the other sign?",
 }  # fmt: skip
 
 
-def odd_scales(readings: Readings, measured: Floats, predicted: Floats) -> tuple[str, ...]:
-    """Words on each reading column that follows the model by a factor that only a file can have.
+def odd_scales(readings: Readings, measured: Floats, predicted: Floats, by: str = "the model") -> tuple[str, ...]:
+    """Words on each reading column that follows a prediction by a factor that only a file can have.
 
     Args:
         readings: the readings.
         measured, predicted: less what the instruments cannot know, (m,).
+        by: what predicts, in words.
     """
     out = []
     for s in readings.series:
         fault = _factor(measured[s.part], predicted[s.part])
         if fault:
-            out.append(f"{readings.measurements[s.source].name} {s.column}: what is measured {fault}")
+            out.append(f"{readings.measurements[s.source].name} {s.column}: what is measured {fault.format(by)}")
     return tuple(out)
 
 
