@@ -75,6 +75,18 @@ def test_numbers_that_are_out_of_date_do_not_follow_it() -> None:
     assert rms(done.model, laser(worn, 32, protocol="cold", cycles=8)) < 1.1 * NOISE_UM
 
 
+def test_numbers_that_were_fitted_to_it_are_refitted_without_it() -> None:
+    """The model was fitted to the record with the jump, which its numbers had taken up."""
+    m, _ = jumped(laser(KNOWN, 51))
+    poor = add(known(), [], [m], own=0).model
+    other = laser(KNOWN, 52)
+    assert rms(poor, other) > 2.0 * NOISE_UM
+    done = improve(poor, [m], draws=50)
+    assert len(done.events) == 1
+    assert done.refit is not None
+    assert rms(done.model, other) < 1.2 * NOISE_UM
+
+
 def test_it_is_reported_with_the_time_and_what_to_do() -> None:
     done, _ = after_a_jump()
     lead = improved_page(done, figures=False).lead

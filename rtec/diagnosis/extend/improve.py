@@ -160,7 +160,12 @@ def _improved(
     """Refit, then add; arguments as of `improve`."""
     refit = growth.refit(model, ask_made is None)
     if refit is None:
-        return growth.grown(model, ask, ask_made)
+        done = growth.grown(model, ask, ask_made)
+        if not growth.events or done.steps or done.reason != "nothing_missing":
+            return done
+        refit = growth.refit(model, ask_made is None)  # the event may have hidden that numbers are out of date
+        if refit is None:
+            return done
     found = growth.diagnosed(model)
     while growth.takes_out(found, model):
         refit = growth.refit(model, ask_made is None)
