@@ -178,8 +178,8 @@ def heated_and_cooled(seed: int, along: bool = False) -> Measurement:
     begin = np.interp(t, time_s, run)
     resting = np.abs(begin - np.round(begin)) > 1e-9
     hot = resting & np.isin(np.floor(begin), rng.choice(np.arange(2, runs - 2), 4, replace=False))
-    warm = follows(t, 9.0 * hot, 1800.0)
-    near = follows(t, np.asarray(0.6 * warm + 0.8 * np.sin(t / 4000.0 + seed)), 5000.0)
+    warm = follows(t, np.where(hot, 9.0, 0.0), 1800.0)
+    near = follows(t, np.asarray(0.6 * warm + 0.8 * np.sin(t / 4000.0 + seed), dtype=np.float64), 5000.0)
     body = {"T_bed": warm, "T_air": near}
     channels = {"x": x, "d_x": np.tile(np.repeat([1.0, -1.0], 12), runs)}
     for s, value in body.items():
