@@ -36,8 +36,9 @@ SEEN = 1e-6
 """Columns of heat within this relative difference are one."""
 STAYED = 0.5
 """The residual with a zero of its own is at most this share of that with a zero that moved once and stayed."""
-FOLLOWS = 0.5
-"""A channel is no reason for a jump if its other steps explain less than this share of what they would by the jump."""
+FOLLOWS = 0.25
+"""A channel is no reason for a jump if its other steps explain less than this share of what they would by the jump, of
+either sign: the law may bend."""
 OWN = 0.1
 """Least share of a zero of its own that heat cannot explain."""
 
@@ -293,4 +294,4 @@ def _refuted(expected: Floats, change: Floats, after: Ints, jump: _Jump) -> bool
     """Whether other steps of a channel should have moved the readings as far as the jump, and did not."""
     runs = np.unique(after)
     would, did = (np.array([np.median(v[after == k]) for k in runs]) for v in (expected, change))
-    return bool(would @ would >= jump.by**2 and would @ did < FOLLOWS * (would @ would))
+    return bool(would @ would >= jump.by**2 and abs(would @ did) < FOLLOWS * (would @ would))

@@ -17,7 +17,7 @@ from rtec.diagnosis.extend.add import (
     rival_notes,
     rivals_of,
 )
-from rtec.diagnosis.extend.record_event import RecordEvent, of_record, taken_out
+from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import further_temperature, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
@@ -254,6 +254,10 @@ class _Growth:
             chosen = found.findings[0]
         if chosen is None or not of_record(chosen.effect, model.machine) or len(self.events) >= MOST:
             return False
+        if not has_instant(chosen) and any(f.group and not of_record(f.effect, model.machine) for f in found.findings):
+            return (
+                False  # a slow change that may as well be heat: taken out, other effects would make up for its absence
+            )
         readings = self.given.readings
         out, events = taken_out(readings, Judgement(model, self.given).left, chosen)
         self.given = replace(self.given, readings=out)
@@ -297,9 +301,9 @@ class _Growth:
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
-            if of_record(picked.effect, model.machine):
-                if self.takes_out(found, model, picked):
-                    continue
+            if self.takes_out(found, model, picked):
+                continue
+            if of_record(picked.effect, model.machine) and (ask or found.verdict != "ambiguous"):
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
             # An effect that these data cannot distinguish from it may replace it, except one of the time.
             # Where several are missing together, the first alone may gain nothing: then any of the sure ones may begin.

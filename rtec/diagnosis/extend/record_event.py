@@ -54,6 +54,11 @@ def of_record(effect: Effect, machine: Machine) -> bool:
     return "time_s" in effect.channels(machine)
 
 
+def has_instant(finding: Finding) -> bool:
+    """Whether an effect of the time is a step at an instant."""
+    return any(n.startswith("t0") for n in finding.theta)
+
+
 def note_of(effect: Effect) -> str:
     """Warning for a user who adds an effect of the time, in words."""
     return (
@@ -109,8 +114,7 @@ def _events(readings: Readings, finding: Finding, source: int, part: Floats) -> 
     series = [s for s in readings.series if s.source == source]
     s = max(series, key=lambda one: float(np.ptp(part[one.part])))
     unit, change = ("µrad" if s.unit == "urad" else "µm"), part[s.part]
-    at = next((t for n, t in finding.theta.items() if n.startswith("t0")), None)
-    if at is None:
+    if not has_instant(finding):
         size = float(np.std(change))
         message = (
             f"{name}: the readings change with the time of the record by {significant(size, 2)} {unit} "
@@ -118,6 +122,7 @@ def _events(readings: Readings, finding: Finding, source: int, part: Floats) -> 
         )
         yield RecordEvent(finding.label, name, None, size, message)
         return
+    at = next(t for n, t in finding.theta.items() if n.startswith("t0"))
     later = s.time_s >= at - BEFORE_S
     size = float(change[later].mean() - change[~later].mean())
     run = readings.measurements[source].run[s.row]
