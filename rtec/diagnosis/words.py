@@ -223,7 +223,8 @@ def _one_of(d: Diagnosis) -> str:
     beside = _beside(d, apart)
     group = [first, *(f for f in d.group if f.rank > 1 and (f.effect.effect, f.effect.component) not in apart)]
     rivals = [a for a in first.confused_with if not a.apart]
-    names = list(dict.fromkeys([*(f.label for f in group), *map(_label, rivals)]))
+    others = [first.label if a.label.startswith(f"{first.label}, ") else _label(a) for a in rivals]
+    names = list(dict.fromkeys([*(f.label for f in group), *others]))
     more = f"; {beside}, which explains another part of the readings, may be missing too" if beside else ""
     if len(names) == 1:
         forms = "; its form cannot be determined from these data" if len(group) > 1 else ""

@@ -261,7 +261,9 @@ def _brief(d: Diagnosis) -> Table | None:
         ]
         for f, label in zip(shown, labels(shown), strict=True)
     ]
-    head = ("candidate", f"explains, {UNITS[d.unit]}", "held-out error falls by", "probability")
+    head: tuple[str, ...] = ("candidate", f"explains, {UNITS[d.unit]}", "held-out error falls by", "probability")
+    if d.runs is not None:  # too few runs decide: drift explains them as well, which the probability takes into account
+        head, rows = head[:-1], [r[:-1] for r in rows]
     more = f" {counted(len(d.findings) - BRIEF, 'more candidate')} with --full." if len(d.findings) > BRIEF else ""
     return Table(head, rows, f"Falls by: share of the mean square.{more}")
 

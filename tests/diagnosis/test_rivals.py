@@ -103,6 +103,15 @@ def test_effects_that_explain_other_parts_are_no_rivals() -> None:
     assert not alike(one, other, 0.6, 1.0).apart
 
 
+def test_a_rival_of_the_same_name_differs_in_its_name() -> None:
+    """Oracle: the argument in which both differ."""
+    one, other = (
+        _effect("axis_expansion", component="EXX", axis="X", sensor="T_nut", fixed_mm=f) for f in (0.0, 260.0)
+    )
+    assert alike(one, other, 0.99, 1.0).label == "axis_expansion(EXX, X, T_nut), fixed mm 260"
+    assert alike(other, one, 0.99, 1.0).label != alike(one, other, 0.99, 1.0).label
+
+
 def test_each_of_several_effects_is_told_with_its_rivals() -> None:
     """Oracle: the names that were given."""
     bow, warm = (
@@ -145,7 +154,7 @@ def test_every_sensor_that_moves_as_the_named_one_does_is_a_rival() -> None:
     model = Model(machine, (effect_from_text("scale,component=EXX,axis=X,k=12", machine),), name="test")
     d = diagnose(model, [m], draws=20, only=["axis_expansion"])
     assert d.verdict == "ambiguous"
-    names = {d.findings[0].label, *(a.label for a in d.findings[0].confused_with)}
+    names = {d.findings[0].label, *(a.label.removesuffix(", lag") for a in d.findings[0].confused_with)}
     assert names == {f"axis_expansion(EXX, X, {sensor})" for sensor in machine.sensor_names}
     assert all(name in d.sentence for name in names)
 

@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
 from rtec.diagnosis.result import Diagnosis
-from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.search.diagnose import beats_drift, diagnose
 from rtec.diagnosis.search.refit import Refitted, effective, led
+from rtec.diagnosis.search.shapes import Shape
+from rtec.diagnosis.search.unnamed import Shaped
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Noise, Whitener
 from rtec.estimation.readings import read
@@ -62,6 +64,18 @@ def test_what_predicts_held_out_runs_far_better_leads() -> None:
     assert led([first, near, far], 10.0, base, readings)[0] is far
     assert led([first, near], 10.0, base, readings)[0] is first
     assert led([first, far], 30.0, base, readings)[0] is first  # the other is not sure
+
+
+def test_an_effect_beats_a_drift_that_predicts_held_out_runs_far_worse() -> None:
+    """Oracle: shares of the held-out error; 3 % against 13 %, and 10 % against 13 %."""
+    one = np.random.default_rng(1).standard_normal((832, 1))
+    far, near = fitted(0, one, 3.0, 0.97), fitted(1, one, 3.0, 0.9)
+    drift, bow = (Shape("laser X", over, (4,) * len(over)) for over in (("T_bed", "time_s"), ("x",)))
+    by_time, by_place = (Shaped(s, one, far.fit, 20.0, 0.87, 1.0) for s in (drift, bow))
+    assert beats_drift(far, by_time)
+    assert not beats_drift(near, by_time)
+    assert not beats_drift(far, by_place)
+    assert not beats_drift(far, None)
 
 
 def test_of_nearly_as_likely_ones_the_case_of_fewer_numbers_leads() -> None:

@@ -9,12 +9,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.result import Alike, label_of
+from rtec.diagnosis.result import Alike
+from rtec.diagnosis.words import labels
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.estimation.readings import Readings
 from rtec.machine import Machine
+from rtec.model import FittedEffect
 from rtec.wording import significant
 
 Floats = NDArray[np.float64]
@@ -83,7 +85,12 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
     else:
         how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"
     return Alike(
-        other.effect, other.component, f"{how}; {why}" if why else how, test, label=label_of(other), apart=apart
+        other.effect,
+        other.component,
+        f"{how}; {why}" if why else how,
+        test,
+        label=labels([FittedEffect(one, {}), FittedEffect(other, {})])[1],
+        apart=apart,
     )
 
 

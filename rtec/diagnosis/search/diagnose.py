@@ -19,7 +19,7 @@ from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.refit import BESIDE, NOTHING_MUCH, Refits, Refitted, far_better, led, prepare
+from rtec.diagnosis.search.refit import BESIDE, NOTHING_MUCH, Judged, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.shapes import groups
@@ -111,6 +111,11 @@ def _beside(candidate: EffectCandidate, model: Model) -> EffectCandidate | None:
     return replace(candidate, thetas=thetas) if thetas else None
 
 
+def beats_drift(one: Judged, top: Shaped | None) -> bool:
+    """Whether an effect predicts held-out runs far better than the best shape without a name, which is a drift."""
+    return top is not None and "time_s" in top.shape.variables and far_better(one, top)
+
+
 class _Search:
     def __init__(
         self,
@@ -170,8 +175,11 @@ class _Search:
             numbers = [t.number for t in pair]
             refitted = [*pair, *(t for t in refitted if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
-        undecided = self._undecided(refitted) if not (accepted and named) and unknown is None else None
+        undecided = None if accepted and named else self._undecided(refitted)
+        if undecided is not None and unknown is not None:
+            undecided = undecided if beats_drift(undecided[1], self._top_shape) else None
         if undecided is not None:
+            unknown = None
             refitted = [undecided[1], *(t for t in refitted if t is not undecided[1])]
         return answer(
             SearchResult(
@@ -192,6 +200,7 @@ class _Search:
         if found is None:
             return None
         first = max(may, key=lambda t: t.log_evidence)
+        first = max((t for t in may if far_better(t, first)), key=lambda t: t.log_evidence, default=first)
         return RunsDiffer(*found, type(self.candidates[first.number].effect).about.reveal), first
 
     def _next(self, refitted: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
