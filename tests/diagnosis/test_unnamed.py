@@ -206,3 +206,22 @@ def test_only_the_temperature_that_matters_is_named(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_a_position_and_a_temperature_are_named_where_both_matter(seed: int) -> None:
     assert set(depends_on(heated_and_cooled(seed, along=True))) == {"x", "T_bed"}
+
+
+def worn_place(seed: int) -> Measurement:
+    """A laser of a machine that is too long by 9 µm/m and whose nut is worn about one place."""
+    m = laser(["scale,component=EXX,axis=X,k=9", "backlash,component=EXX,axis=X,B=2"], seed)
+    x, d = m.channels["x"], m.channels["d_x"]
+    worn = 2.5 * d * np.exp(-(((x - 110.0) / 45.0) ** 2))
+    return replace(m, readings={"reading_um": m.readings["reading_um"] + worn})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_simple_effect_is_named_beside_a_curve_of_both_directions(seed: int) -> None:
+    """Oracle: the formulas that were put in; a surface over position and direction contains both."""
+    model = Model(small_machine(), effects("backlash,component=EXX,axis=X,B=2"), name="known")
+    d = diagnose(model, [worn_place(seed)], draws=50)
+    assert d.findings[0].effect.effect == "scale"
+    assert d.findings[0].parameters["k"].value == pytest.approx(9.0, abs=1.0)
+    assert d.unknown is not None
+    assert set(d.unknown.channels) == {"x", "d_x"}

@@ -19,11 +19,11 @@ from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.refit import BESIDE, NOTHING_MUCH, Judged, Refits, Refitted, far_better, led, prepare
+from rtec.diagnosis.search.refit import BESIDE, MORE, NOTHING_MUCH, Judged, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.shapes import groups
-from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, without_idle
+from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, curves_of, without_idle
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
@@ -163,7 +163,11 @@ class _Search:
             named, unknown = False, None
         pair = None if self._doubted or (accepted and named and not half) else self._pair(refitted)
         rich = pair is not None and any(t.columns.shape[1] > PLAIN for t in pair)
-        chain = self._chain(refitted, p) if rich or (unknown is not None and pair is None) else []
+        chain, along = self._beside_curve(p) if unknown is not None and pair is None else ([], None)
+        if along is not None:
+            unknown = self._of_shape(along)
+        elif rich or (unknown is not None and pair is None):
+            chain = self._chain(refitted, p)
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
         if accepted and named and pair is None and best is not None and not chain:
@@ -365,6 +369,33 @@ class _Search:
                 return []
         return chain
 
+    def _beside_curve(self, p: float) -> tuple[list[Refitted], Shaped | None]:
+        """Effects beside a curve over one variable, and that curve, where both are likelier than the best shape.
+
+        They must predict held-out runs as well as that shape, a surface over this and another variable.
+        """
+        top, best, curve = self._top_shape, list[Refitted](), None
+        if top is None or p >= self.alpha or not self._many:
+            return [], None
+
+        places = {a.channel for a in self.model.machine.axes}
+
+        def plain(effect: Effect) -> bool:
+            read = set(effect.channels(self.model.machine))
+            return "time_s" not in read and len(read & places) <= 1  # a curve over one position completes any surface
+
+        for one in curves_of(
+            top, self.readings, self.prepared.base, self.refits.fit, self.refits.current, self.refits.held_out_gain
+        ):
+            chain = self.refits.beside_shape(one.columns, one.log_evidence, self._prior_odds + SURE, plain)
+            if chain and (not best or chain[-1].log_evidence > best[-1].log_evidence):
+                best, curve = chain, one
+        if curve is None or best[-1].log_evidence <= top.log_evidence:
+            return [], None
+        if 1.0 - best[-1].drop > (1.0 + MORE) * (1.0 - top.drop):
+            return [], None
+        return self.refits.without_shape(best, curve.columns), curve
+
     def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
         """Simple effects that are missing together; empty where the best alone, or with others later, is the answer.
 
@@ -397,10 +428,19 @@ class _Search:
         )
 
     def _unknown(self, top: Shaped) -> Unknown:
-        by_time = "time_s" in top.shape.variables
-        top = without_idle(
+        """The error without a name, of the variables that it needs."""
+        needed = without_idle(
             top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.held_out_gain
         )
+        return self._of_shape(needed, "time_s" in top.shape.variables)
+
+    def _of_shape(self, top: Shaped, by_time: bool = False) -> Unknown:
+        """The error without a name of a shape.
+
+        Args:
+            top: the shape.
+            by_time: whether time was one of its variables before those that it does not need were dropped.
+        """
         self._top_shape, shape = top, top.shape
         period, step = None, None
         if shape.period is not None:

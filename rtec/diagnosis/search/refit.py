@@ -466,6 +466,34 @@ class Refits:
             out = self._grown(exchanged, bar, may)
         return out
 
+    def beside_shape(
+        self, columns: Floats, evidence: float, bar: float, may: Callable[[Effect], bool]
+    ) -> list[Refitted]:
+        """Effects that the readings require beside a shape without a name; the evidence is that of all.
+
+        Args:
+            columns: of the shape, (m, k).
+            evidence: log evidence of the shape alone.
+            bar: least gain of evidence by each.
+            may: which effects may be taken.
+        """
+        width, base = self.prepared.base.shape[1], np.concatenate([self.prepared.base, columns], axis=1)
+        now = self.fit(base)
+        found = self.weigh(without_drift(now.whitener), base)
+        tried: list[Refitted] = []
+        for number in self._few(found, may, []):
+            theta, own, fit, likely = self._fitted(found, number, base)
+            gain = likely - now.log_likelihood
+            judged = self._judged(number, fit.whitener, base, fit.columns[:, width:])
+            if gain > bar:
+                tried.append(Refitted(number, theta, own, fit, evidence + gain, *judged, base.shape[1]))
+        return self._grown([self._plainest(self._with_rivals(found, tried, []))], bar, may) if tried else []
+
+    def without_shape(self, members: Sequence[Refitted], columns: Floats) -> list[Refitted]:
+        """Effects beside a shape, (m, k), judged on held-out runs without it."""
+        width = self.prepared.base.shape[1] + columns.shape[1]
+        return [replace(t, drop=self.held_out_gain(t.fit.whitener, t.fit.columns[:, width:])[0]) for t in members]
+
     def _grown(self, out: list[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """The same effects and those that the readings require beside them."""
         width = self.prepared.base.shape[1]

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.search.screen import Projected
-from rtec.diagnosis.search.shapes import FINE, LINE, Ground, Shape, Weighed, all_shapes, weigh
+from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes, weigh
 from rtec.estimation.display import display_errors, within_display
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Whitener
@@ -114,6 +114,53 @@ def _picked(screens: Sequence[Sequence[Weighed]]) -> list[Weighed]:
 
 def _richness(w: Weighed) -> int:
     return PLAIN if w.count <= PLAIN else LEAN if w.count <= LEAN else RICH
+
+
+def curves_of(
+    top: Shaped,
+    readings: Readings,
+    base: Floats,
+    fit: Callable[[Floats], Fit],
+    current: Fit,
+    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
+) -> list[Shaped]:
+    """For a surface, the best curve over each of its variables; over a position also one that is opposite in both ways.
+
+    A surface over two variables may be such a curve and an effect with a name.
+
+    Args:
+        top: the best shape.
+        readings: the readings.
+        base: columns of the current model, (m, p).
+        fit, current, held_out_gain: as for `best_shapes`.
+    """
+    if len(top.shape.variables) < 2 or top.shape.period is not None:
+        return []
+    ground, directions = Ground(readings), {a.channel: a.direction_channel for a in readings.machine.axes}
+    mask, out = ground.groups[top.shape.group][:, None], list[Shaped]()
+
+    def best(name: str, way: str | None) -> Shaped:
+        made = []
+        for fine in (LINE, DETAIL, FINE):
+            shape = Shape(top.shape.group, (name,), (fine,))
+            columns = ground.columns(shape)
+            if way is not None:
+                columns = ground.known[way][:, None] * np.concatenate([columns, mask], axis=1)
+                shape = replace(shape, over=(name, way), fine=(fine, 1))
+            found = fit(np.concatenate([base, columns], axis=1))
+            evidence = found.log_likelihood - current.log_likelihood
+            evidence -= 0.5 * columns.shape[1] * math.log(len(readings))
+            made.append(Shaped(shape, columns, found, evidence, 0.0, 0.0))
+        likely = max(made, key=lambda t: t.log_evidence)
+        drop, gain = held_out_gain(likely.fit.whitener, likely.columns)
+        return replace(likely, drop=drop, gain=gain)
+
+    for name in top.shape.variables:
+        if name == "time_s" or name in directions.values():
+            continue
+        way = directions.get(name)
+        out += [best(name, None), *([best(name, way)] if way in ground.known else [])]
+    return out
 
 
 LOSES = 0.05
