@@ -67,9 +67,9 @@ NEAR_REFIT = 1.15
 """Or, for a factor, at most this many times the residual with the model's own numbers refitted."""
 BY_FAR = 0.1
 """Or, for a factor, at most this share of the residual: out-of-date numbers may cause the rest."""
-AGAIN, NEAR_FIT = 0.85, 1.15
-"""Or, of readings that the model was not fitted to: below this share of the current residual, and at most this many
-times what the fit left."""
+AGAIN, NEAR_FIT, LIKE_REFIT = 0.85, 1.15, 1.05
+"""Or below this share of the current residual, and at most this many times what the fit left, if that was of other
+readings; or, for an origin, this many times the residual with all numbers of the model refitted."""
 SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and number of places in the grid."""
 AS_GOOD = 1.1
@@ -232,21 +232,24 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     if found.residual <= min(BETTER * judged.residual, near):
         return found
-    return found if found.fatal and _as_in_the_fit(judged, found.residual) else None
+    return found if found.fatal and _as_in_the_fit(judged, found) else None
 
 
-def _as_in_the_fit(judged: Judgement, residual: float) -> bool:
-    """Whether an edit of a record leaves what the fit left, and new numbers of no single effect do.
+def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
+    """Whether an edit of a record leaves what the fit left, or as another place of the axis what the refitted model
+    leaves; and new numbers of no single effect do.
 
     An edit has one number. Several effects that all changed by just as much are less likely than a fault of the record.
     """
     readings = judged.readings
     usual = _error_of_fit(judged.model, judged.unit, readings.measurements)
-    if usual is None or residual > min(AGAIN * judged.residual, NEAR_FIT * max(usual, judged.noise_floor)):
+    by_fit = 0.0 if usual is None else NEAR_FIT * max(usual, judged.noise_floor)
+    by_refit = LIKE_REFIT * judged.refitted if found.kind in ("moved_origin", "turned_axis") else 0.0
+    if found.residual > min(AGAIN * judged.residual, max(by_fit, by_refit)):
         return False
     for fitted in judged.model.effects:
         columns = floor.cleaned(readings, readings.columns(fitted.effect, fitted.theta))
-        if judged.pooled(judged.left - columns @ solve(columns, judged.left)) < AS_GOOD * residual:
+        if judged.pooled(judged.left - columns @ solve(columns, judged.left)) < AS_GOOD * found.residual:
             return False
     return True
 

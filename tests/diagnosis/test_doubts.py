@@ -290,3 +290,12 @@ def test_a_position_is_not_read_in_fifths() -> None:
     found = diagnose(model_of(trial), measurements_of(trial), draws=50)
     assert not found.doubts
     assert found.findings[0].effect.effect == "axis_expansion"
+
+
+@pytest.mark.parametrize("seed", [72000, 72001, 71003])
+def test_a_moved_origin_is_seen_under_a_drift(seed: int) -> None:
+    """Oracle: the place that was put in; one number leaves as little as all numbers of the model refitted."""
+    trial = build("wrong_file", "moved_origin", seed)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert kinds(d.doubts) == ["moved_origin"]
+    assert d.verdict == "undecided"
