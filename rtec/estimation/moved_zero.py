@@ -4,7 +4,6 @@ The display was zeroed again, or the reflector was touched, and corrected afterw
 disappears like that; an effect that is fitted to it is an artefact.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -110,10 +109,6 @@ class _Jump:
         """Which runs are among them."""
         return np.asarray((run >= self.first) & (run <= self.last))
 
-    def beside(self, other: "_Jump") -> bool:
-        """Whether both share a run or a change between two runs."""
-        return self.first <= other.last + 1 and other.first <= self.last + 1
-
 
 @dataclass(frozen=True)
 class _Changes:
@@ -165,27 +160,35 @@ def _jumps(readings: Readings, s: Series) -> list[_Jump]:
 
 def _largest(changes: _Changes, known: Sequence[_Jump]) -> _Jump | None:
     """The runs whose own zero explains most of the changes, apart from known ones; None where there are none."""
-    into, out_of = (_sums(changes, run) for run in (changes.after, changes.before))
-    inside = np.zeros((changes.runs, changes.runs)) if changes.runs <= MANY_RUNS else None
-    if inside is not None:
+    into, out_of = (_running(_sums(changes, run)) for run in (changes.after, changes.before))
+    inside: Floats | None = None
+    if changes.runs <= MANY_RUNS:
+        inside = np.zeros((changes.runs, changes.runs))
         np.add.at(inside, (changes.before, changes.after), 1.0)
+        inside = _running(_running(inside).T).T
     best, most = None, 0.0
     longest = max(1, int(MOVED * changes.runs)) if inside is not None else 1
-    for extra, first in itertools.product(range(longest), range(1, changes.runs - 1)):
-        last = first + extra
-        if last > changes.runs - 2:
-            continue
-        part = slice(first, last + 1)
-        gone, come = into[part].sum(axis=0), out_of[part].sum(axis=0)
-        kept = 0.0 if inside is None else 2.0 * float(inside[part, part].sum())
-        own = np.concatenate([[gone[0] + come[0] - kept], gone[1:] - come[1:]])
-        (explains,), (by,) = _explained(own[None])
-        jump = _Jump(first, last, float(by))
+    for extra in range(min(longest, changes.runs - 2)):
+        first = np.arange(1, changes.runs - 1 - extra)
+        end = first + extra + 1
+        gone, come = into[end] - into[first], out_of[end] - out_of[first]
+        own = np.concatenate([gone[:, :1] + come[:, :1], gone[:, 1:] - come[:, 1:]], axis=1)
+        if inside is not None:
+            kept = inside[end, end] - inside[first, end] - inside[end, first] + inside[first, first]
+            own[:, 0] -= 2.0 * kept
+        explains, by = _explained(own)
+        for k in known:
+            explains[(first <= k.last + 1) & (end >= k.first)] = 0.0
+        at = int(np.argmax(explains))
         # Two runs that moved alike make the same first and last change as all from one to the other.
-        least = most * (LONGER if best is not None and best.last - best.first < extra else 1.0)
-        if explains > least and not any(jump.beside(k) for k in known):
-            best, most = jump, float(explains)
+        if explains[at] > most * (LONGER if best is not None else 1.0):
+            best, most = _Jump(int(first[at]), int(end[at]) - 1, float(by[at])), float(explains[at])
     return best
+
+
+def _running(values: Floats) -> Floats:
+    """Running sums along the first axis, from zero."""
+    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
 
 
 def _sums(changes: _Changes, run: Ints) -> Floats:

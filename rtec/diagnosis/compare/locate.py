@@ -281,7 +281,7 @@ def _signed(inside: Floats, count: Floats, total: Floats, n: float) -> Floats:
 Stage = Callable[[str, int, int], None]
 
 MOST = 5
-DRAWS, MOST_NUMBERS = 300, 20_000_000
+DRAWS, MOST_NUMBERS = 300, 8_000_000
 LEVEL = 0.98
 WORSE = 1.2
 """A residual less than a fifth larger is of no use in a search for causes."""
