@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.characterise.coverage import cover_warnings, places_mm
 from rtec.characterise.result import UndecidedTerm, Warn
+from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.identifiable import label
@@ -99,6 +100,8 @@ GAP = 0.4
 NARROW_K = 3.0
 FEW_BLOCKS = 8
 LITTLE_INFORMATION = 0.05
+EXPANDS, SURE = 25.0, 2.0
+"""Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
 OPPOSITE = 0.5
 RIVALS = 6
 """Largest number of equally good effects that are named."""
@@ -123,6 +126,7 @@ def all_warnings(
         *_collinear(fit),
         *_sign_changes(fit),
         *setup_warnings(fit.sources),
+        *_expands_much(fit),
         *_not_visited(fit),
         *cover_warnings(fit.sources),
         *_on_bound(fit),
@@ -300,6 +304,25 @@ def _sign_changes(fit: Estimate) -> list[Warn]:
                     f"{significant(alone[against][0])})",
                     "it takes the place of another cause; look for that, or omit it",
                 )
+            )
+    return out
+
+
+def _expands_much(fit: Estimate) -> list[Warn]:
+    """Screws and scales that would expand more than any material of a machine."""
+    out = []
+    for i, term in enumerate(fit.terms):
+        if not isinstance(term.effect, AxisExpansion):
+            continue
+        k, error = (float(v[np.flatnonzero(fit.linear.owner == i)[0]]) for v in (fit.values, fit.errors))
+        if abs(k) - SURE * error > EXPANDS:
+            text = (
+                f"{label(term)}: k = {significant(k)} µm/(m·K) is more than a material of a machine expands (steel 12, "
+                "aluminium 23): the sensor shows less than the screw warms, or this number stands for another effect, "
+                "such as a scale, and is wrong on another day"
+            )
+            out.append(
+                Warn("expands_much", text, "fit with scale and squareness beside it, on days of other temperatures")
             )
     return out
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from rtec.characterise import Characterisation, characterise
+from rtec.characterise.effect_list import read_wanted
 from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.readings import read
+from tests.support.diagnosis_examples import laser, small_machine
 from tests.support.warming import Warming, warming
 
 
@@ -66,3 +68,13 @@ def test_a_machine_that_does_not_grow_gets_no_temperature(seed: int) -> None:
     """Oracle: only a scale error and a backlash were put in."""
     found = characterise([warming(seed, 8, grows=False).given])
     assert {f.effect.effect for f in found.model.effects} <= {"scale", "backlash"}
+
+
+@pytest.mark.parametrize(
+    ("truth", "warned"),
+    [("scale,component=EXX,axis=X,k=25", True), ("axis_expansion,component=EXX,axis=X,sensor=T_bed,k=12", False)],
+)
+def test_an_expansion_beyond_all_materials_is_warned_of(truth: str, warned: bool) -> None:
+    """Oracle: handbooks, steel 12 and aluminium 23 µm/(m·K). A constant scale, where only expansions may be fitted."""
+    made = characterise([laser([truth], 3)], wanted=read_wanted("axis_expansion", small_machine()))
+    assert ("expands_much" in [w.code for w in made.warnings]) is warned
