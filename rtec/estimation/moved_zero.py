@@ -278,13 +278,15 @@ def _has_reason(readings: Readings, s: Series, jump: _Jump, changes: _Changes) -
     mine, was_mine = jump.holds(after), jump.holds(before)
     inside = np.arange(jump.first, jump.last + 1)
     rows = [s.row[np.isin(s.run, which)] for which in (inside, before[mine & ~was_mine], after[was_mine & ~mine])]
-    for name in (*readings.machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"):
+    velocities = [a.velocity_channel for a in readings.machine.axes]
+    for name in (*readings.machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min", *velocities):
         if name in state.channels:
-            here, was, will = (float(np.nanmedian(state.channels[name][r])) for r in rows)
+            channel = np.abs(state.channels[name]) if name in velocities else state.channels[name]
+            here, was, will = (float(np.nanmedian(channel[r])) for r in rows)
             by = min(here - was, here - will, key=abs)
             if (here - was) * (here - will) <= 0.0 or abs(by) <= real(readings.machine, name):
                 continue
-            middle = np.array([np.nanmedian(state.channels[name][s.row[s.run == k]]) for k in range(changes.runs)])
+            middle = np.array([np.nanmedian(channel[s.row[s.run == k]]) for k in range(changes.runs)])
             steps = (jump.by / by) * (middle[after] - middle[before])
             if not _refuted(
                 steps[~mine & ~was_mine], changes.change[~mine & ~was_mine], after[~mine & ~was_mine], jump

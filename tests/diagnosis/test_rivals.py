@@ -12,6 +12,7 @@ from rtec.bench.rig.machine import day
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import Trial, build
 from rtec.diagnosis import words
+from rtec.diagnosis.extend.improve import _leaner
 from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Member, label_of
 from rtec.diagnosis.search.answer import _Answer
@@ -175,3 +176,20 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
     assert not asked._disputes(winner, fitted(1, 40.0, 0.981))
     assert not asked._disputes(winner, fitted(1, 55.0, 0.95))
     assert not asked._disputes(winner, fitted(2, 55.0, 0.981))  # the same sensor
+
+
+def test_of_rivals_that_predict_alike_the_one_of_fewer_numbers_is_added() -> None:
+    """Oracle: numbers and shares of the held-out error that were given."""
+
+    def finding(numbers: int, drop: float) -> Any:
+        return SimpleNamespace(parameters=dict.fromkeys("ktp"[:numbers]), heldout_drop=drop, partner=None)
+
+    late, plain, poor = finding(2, 0.982), finding(1, 0.981), finding(1, 0.97)
+
+    def added(*group: Any) -> Any:
+        found: Any = SimpleNamespace(findings=group, group=group, together=())
+        return _leaner(found)
+
+    assert added(late, poor, plain) is plain
+    assert added(late, poor) is late
+    assert added(plain, late) is plain

@@ -225,3 +225,18 @@ def test_a_simple_effect_is_named_beside_a_curve_of_both_directions(seed: int) -
     assert d.findings[0].parameters["k"].value == pytest.approx(9.0, abs=1.0)
     assert d.unknown is not None
     assert set(d.unknown.channels) == {"x", "d_x"}
+
+
+def test_simple_effects_are_named_beside_a_curve_along_the_axis() -> None:
+    """Oracle: the formulas that were put in: a wave of the guide that no effect has, a tilt by the heat of the bed."""
+    laid = laser([], 4)
+    x, warm, rng = laid.channels["x"], laid.channels["T_bed"], np.random.default_rng(4)
+    wave = 6.0 * np.sin(2.4 * np.pi * x / 200.0 + 0.4) * np.exp(-x / 150.0)
+    angle = wave + 1.2 * (warm - warm.mean()) + 0.3 * rng.standard_normal(len(x))
+    turned = make_instrument("laser_angular", {"about": "B"}, "X", None, laid.machine, "test")
+    m = replace(laid, instrument=turned, readings={"reading_urad": angle})
+    d = diagnose(Model(small_machine(), (), name="none"), [m], draws=50)
+    assert d.findings[0].accepted
+    assert "T_bed" in d.findings[0].channels
+    assert d.unknown is not None
+    assert d.unknown.channels == ("x",)

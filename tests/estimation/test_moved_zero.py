@@ -154,3 +154,12 @@ def test_the_thermal_law_is_not_spoilt(number: int, by: float) -> None:
     assert made.warnings[0].code == "moved_zero"
     known = {c.effect.split("(")[0]: c.value for c in made.coefficients}
     assert known == pytest.approx({"scale": 30.0, "axis_expansion": 9.0, "mount_expansion": -0.9}, rel=0.06)
+
+
+def test_a_run_at_another_feed_is_none() -> None:
+    """Oracle: the reason is in the file: the axis moved faster in that run."""
+    good = laser(TRUTH, 6)
+    fast = good.run == good.run[0] + 6
+    speed = good.channels["d_x"] * np.where(fast, 80.0, 10.0)
+    fed = replace(good, channels={**good.channels, "v_x": speed})
+    assert not moved_zeros(clean([changed(fed, lambda run: np.where(run == run[0] + 6, 40.0, 0.0))]).readings)

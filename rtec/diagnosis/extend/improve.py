@@ -41,6 +41,8 @@ AT_FLOOR = 1.05
 """Held-out error over the noise floor up to which a model is at the floor."""
 LITTLE = 0.02
 """A relative fall of the held-out error below this is not worth an effect."""
+AS_GOOD = 1.1
+"""Held-out mean squares within this factor are equally good."""
 MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
@@ -307,7 +309,8 @@ class _Growth:
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
             # An effect that these data cannot distinguish from it may replace it, except one of the time.
             # Where several are missing together, the first alone may gain nothing: then any of the sure ones may begin.
-            others = [f for f in found.findings[1:] if f.group or (found.together and f.log_evidence > SURE)]
+            others = [f for f in found.findings if f.group or (found.together and f.log_evidence > SURE)]
+            others = [f for f in others if f is not picked]
             others = [f for f in others if f.heldout_drop > 0.0]
             if choice.partner is not None:  # of a pair, each alone
                 others = [choice.partner, replace(choice, partner=None)]
@@ -419,7 +422,7 @@ def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
     """
     first = found.findings[0]
     if not any(d.kind == "one_pass" for d in found.doubts):
-        return first
+        return _leaner(found)
     ways, places = {a.direction_channel for a in machine.axes}, {a.channel for a in machine.axes}
 
     def plain(f: Finding) -> bool:
@@ -430,6 +433,19 @@ def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
         return next((f for f in found.findings if f.group and plain(f)), None)
     read = set(first.effect.channels(machine))
     return None if read & ways and read - ways else first
+
+
+def _leaner(found: Diagnosis) -> Finding:
+    """The first, or a rival of fewer numbers that predicts held-out runs as well: a lag feigns what a sensor lacks."""
+    first = found.findings[0]
+    if found.together or first.partner is not None:
+        return first
+    rivals = [
+        f
+        for f in found.group
+        if len(f.parameters) < len(first.parameters) and 1.0 - f.heldout_drop <= AS_GOOD * (1.0 - first.heldout_drop)
+    ]
+    return max(rivals, key=lambda f: f.heldout_drop, default=first)
 
 
 def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:

@@ -80,7 +80,7 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         how = "it is likelier beside a slow drift, yet it predicts held-out runs far worse"
         test = ""
     elif log_odds > 2.0 * WITHIN:
-        how = "it is less likely from these data, yet it predicts held-out runs better"
+        how = "it is less likely from these data, yet it predicts held-out runs as well or better"
         test = ""
     else:
         how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"

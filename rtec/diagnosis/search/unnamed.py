@@ -124,7 +124,7 @@ def curves_of(
     current: Fit,
     held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
 ) -> list[Shaped]:
-    """For a surface, the best curve over each of its variables; over a position also one that is opposite in both ways.
+    """The best curve over each variable of a shape; over a position also one that is opposite in both directions.
 
     A surface over two variables may be such a curve and an effect with a name.
 
@@ -134,14 +134,14 @@ def curves_of(
         base: columns of the current model, (m, p).
         fit, current, held_out_gain: as for `best_shapes`.
     """
-    if len(top.shape.variables) < 2 or top.shape.period is not None:
+    if top.shape.place is not None or top.shape.period is not None:
         return []
     ground, directions = Ground(readings), {a.channel: a.direction_channel for a in readings.machine.axes}
     mask, out = ground.groups[top.shape.group][:, None], list[Shaped]()
 
-    def best(name: str, way: str | None) -> Shaped:
+    def best(name: str, own: int, way: str | None) -> Shaped:
         made = []
-        for fine in (LINE, DETAIL, FINE):
+        for fine in sorted({own, COARSE, LINE, DETAIL, FINE}):
             shape = Shape(top.shape.group, (name,), (fine,))
             columns = ground.columns(shape)
             if way is not None:
@@ -155,11 +155,11 @@ def curves_of(
         drop, gain = held_out_gain(likely.fit.whitener, likely.columns)
         return replace(likely, drop=drop, gain=gain)
 
-    for name in top.shape.variables:
+    for name, own in zip(top.shape.over, top.shape.fine, strict=True):
         if name == "time_s" or name in directions.values():
             continue
         way = directions.get(name)
-        out += [best(name, None), *([best(name, way)] if way in ground.known else [])]
+        out += [best(name, own, None), *([best(name, own, way)] if way in ground.known else [])]
     return out
 
 
