@@ -122,7 +122,7 @@ class _Frame:
         with ui.element("nav").classes("side").props('aria-label="Pages"'):
             for key, title in PAGES.items():
                 link = Words("a", title).props(f'href="/{key}"')
-                link.on("click.prevent", lambda key=key: self.go(key))
+                link.on("click.prevent", lambda key=key: self._follow_list(key))
                 self._links[key] = link
         self._main = ui.element("div").classes("page")
         session.on_progress, session.on_change, session.go = self._show_progress, self._build, self.go
@@ -137,6 +137,11 @@ class _Frame:
             ui.navigate.history.push(f"/{name}")
             ui.run_javascript("window.scrollTo(0, 0)")
         self._show(name)
+
+    def _follow_list(self, name: str) -> None:
+        """Show a page of the list; the page Report then offers all that there is."""
+        self._session.reported = None
+        self.go(name)
 
     def _follow(self, path: str) -> None:
         """Show the page of an address to which the browser went back or forward."""
