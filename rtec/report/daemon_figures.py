@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rtec.report.figures import GREY, LINES, OFF, ON, as_png, canvas, stacked
+from rtec.wording import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,20 +46,19 @@ def axis_bars(rows: Sequence[AxisBars]) -> "MplFigure":
         for place, name in enumerate(ROWS):
             value = values[name]
             ax.barh(place, value or 0.0, 0.6, color={"requested": GREY, "applied": ON, "residual": OFF}[name])
-            signed = "not known" if value is None else f"{value:.2f}" if name == "residual" else f"{value:+.2f}"
-            ax.text(
-                0.98, place + 0.32, signed, transform=ax.get_yaxis_transform(), ha="right", va="bottom", fontsize=13
-            )
         for limit in (-row.warning, row.warning) if row.stop else ():
             ax.axvline(limit, color="black", linestyle="--", linewidth=1.2)
         ax.axvline(0.0, color="black", linewidth=1)
         ax.set_xlim(-stop, stop)
-        ax.set_ylim(-0.5, 2.8)
-        ax.set_yticks(range(3), ROWS)
+        ax.set_yticks(range(3), [f"{name}\n{_signed(values[name], sign=name != 'residual')}" for name in ROWS])
         ax.set_xlabel("µm; dashed: a request beyond is flagged" if row.stop else "µm")
         ax.set_title(f"Axis {row.axis}")
         ax.grid(visible=False, axis="y")
     return figure
+
+
+def _signed(value: float | None, *, sign: bool) -> str:
+    return "not known" if value is None else f"{number(value, 2, sign=sign)} µm"
 
 
 @as_png

@@ -90,7 +90,7 @@ def machine_state_sections(s: MachineState, figures: bool = True) -> list[Sectio
     shown = [(effect_words(s.model, k), "off" if k in s.off else "on") for k in range(len(s.model.effects))]
     times = f"Errors are drawn {significant(s.magnified, 2)} times as large as they are."
     out = [
-        Section("The state of the machine", [state_sentence(s)], Table(("", "value"), _state_rows(s))),
+        Section("The state of the machine", [], Table(("", "value"), _state_rows(s))),
         Section("Effects of the model", [], Table(("effect", ""), shown, words=(0, 1))),
     ]
     drawn = _figures(s, errors) if figures else (None, None, None)

@@ -93,16 +93,19 @@ def bars(rows: Sequence[tuple[str, float, str]]) -> "MplFigure":
 
 def _room(machine: Machine) -> "tuple[MplFigure, Any]":
     """A room in which the machine moves, with the same scale along all axes."""
+    from matplotlib.ticker import MaxNLocator
+
     figure = canvas(HIGH_IN)
     ax: Any = figure.add_subplot(projection="3d")
     room = room_mm(machine)
     for k, axis in enumerate("xyz"):
         getattr(ax, f"set_{axis}lim")(*room[k])
         getattr(ax, f"set_{axis}label")(f"{axis.upper()}, mm", labelpad=10)
-    ax.set_box_aspect(np.ptp(room, axis=1), zoom=0.95)
+    ax.set_box_aspect(np.ptp(room, axis=1), zoom=0.84)
     ax.view_init(ELEVATION_DEG, AZIMUTH_DEG)
     ax.tick_params(labelsize=12)
-    ax.locator_params(nbins=5)
+    for axis, wide in zip((ax.xaxis, ax.yaxis, ax.zaxis), np.ptp(room, axis=1), strict=True):
+        axis.set_major_locator(MaxNLocator(5 if wide > 0.5 * np.ptp(room, axis=1).max() else 2))
     return figure, ax
 
 
