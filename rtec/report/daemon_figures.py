@@ -80,7 +80,7 @@ def past(
     for ax, lines, what in zip(axes, (applied_um, degc), ("applied correction, µm", "temperature, °C"), strict=False):
         for k, (name, values) in enumerate(lines.items()):
             shown = np.array([np.nan if v is None else v for v in values])
-            ax.plot(time, shown, color=LINES[(1 + k) % len(LINES)], linestyle=DASHES[k // len(LINES) % 3], label=name)
+            ax.plot(time, shown, color=LINES[(1 + k) % len(LINES)], linestyle=DASHES[k // 4 % 3], label=name)
         ax.set_ylabel(what)
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
     axes[-1].set_xlabel(f"{unit} since the daemon began")

@@ -35,6 +35,8 @@ STEP_PAGES: Final = ("compare", "diagnose", "add", "explore", "report")
 WENT: Final = "went"
 """Event of a browser that went back or forward, with the path."""
 TELL_OF_BACK: Final = f'window.addEventListener("popstate", () => emitEvent("{WENT}", location.pathname))'
+LOAD_PLOTS: Final = '(window.requestIdleCallback ?? setTimeout)(() => import("nicegui-plotly"))'
+"""Loads what draws the plots while the browser has nothing else to do: it takes about a second on a slow computer."""
 STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
 
 
@@ -289,10 +291,13 @@ FAVICON: Final = (
 
 
 async def _warm_up() -> None:
-    """Load the modules of jobs and of the other pages, so that nobody waits for them later."""
+    """Load the modules of jobs, of the other pages, and of the plots, so that nobody waits for them later."""
+    client = ui.context.client
     jobs.warm_up()
     for name in PAGES:
         await asyncio.to_thread(_module, name)
+    if not client.is_deleted:
+        client.run_javascript(LOAD_PLOTS)
 
 
 def _module(name: str) -> ModuleType:

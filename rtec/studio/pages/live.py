@@ -25,6 +25,8 @@ ORDERS: Final = {
     "fade": ("Fade", "Fade the correction to zero at its slew limit?"),
 }
 BARS: Final = (("requested", "requested_um"), ("applied", "applied_um"))
+DASHES: Final = ("solid", "dash", "dot")
+"""Of each four lines: colours alone are hard to distinguish."""
 EVERY: Final = 10
 """Tables are redrawn once for this many answers, bars at each."""
 
@@ -177,7 +179,7 @@ class _LivePage:
                 "name": figures.text(n),
                 "x": [m.time_s / unit_s for m in kept],
                 "y": [_of(m, n, temperatures) for m in kept],
-                "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2},
+                "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2, "dash": DASHES[k // 4 % 3]},
                 "marker": {"size": 4},
             }
             for k, n in enumerate(names)

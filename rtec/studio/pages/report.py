@@ -41,11 +41,11 @@ def build(session: TabSession) -> None:
     with ui.element("div").classes("card"):
         Words("h2", "What it holds")
         for name, part in parts.items():
+            if part.missing:
+                Words("p", f"{part.words.partition(':')[0]}: {part.missing}", "small")
+                continue
             box = ui.checkbox(part.words, value=name in chosen, on_change=partial(_choose, session, step, name))
             label(box, part.words)
-            if part.missing:
-                box.disable()
-                Words("p", part.missing, "small")
         Words("p", "Both files hold everything themselves: they load nothing from anywhere.", "small")
         with ui.element("div").classes("row"):
             off = "" if chosen else "choose what it holds"
@@ -55,22 +55,22 @@ def build(session: TabSession) -> None:
 
 def _parts(session: TabSession, step: ModelStep | None) -> dict[str, _Part]:
     """The parts of a report, by name; those that are not there say why."""
-    no_model = session.lacks or "The model was not compared yet; the page Compare does it."
+    no_model = session.lacks or "the model was not compared yet; the page Compare does it."
     compared = step is not None and step.compared is not None
     model = "" if compared else no_model
     diagnosed = step is not None and step.diagnosed is not None
     out = {
         "compare": _Part("Comparison: the model and the measurements, with all figures and tables", model),
         "diagnose": _Part("Diagnosis: which effect is missing, with the evidence",
-                          "" if diagnosed else model or "None was made of this model yet."),
+                          "" if diagnosed else model or "none was made of this model yet."),
         "add": _Part("Add and watch: the error before and after each change of the model", model),
         "explore": _Part("Explore: the machine in the state that is set there, its errors, and the part",
-                         "" if _explored(session, step) else "The page Explore was not opened with this model yet."),
+                         "" if _explored(session, step) else "the page was not opened with this model yet."),
     }  # fmt: skip
     if session.live is not None:
         found = session.live.status
         words = "Live: the running daemon at the moment of the click, with the last minutes and hours"
-        out["live"] = _Part(words, "" if found is not None else f"The daemon does not answer: {session.live.trouble}.")
+        out["live"] = _Part(words, "" if found is not None else f"the daemon does not answer: {session.live.trouble}.")
     return out
 
 
