@@ -63,6 +63,15 @@ def held(status: Mapping[str, Any]) -> str:
     return "; ".join([*devices, *status["reasons"]]) or "no reason is given"
 
 
+def state_word(status: Mapping[str, Any]) -> tuple[str, str]:
+    """The state of the correction in one word (on, held, off, starting), and why it is held; "" where it is not."""
+    if why := held(status):
+        return "held", why
+    if status["mode"] == "hold":
+        return "held", "ordered by an operator"
+    return status["mode"] or "starting", ""
+
+
 def _mode_line(status: Mapping[str, Any]) -> str:
     if held(status):
         return "mode on is ordered, but the correction stays where it is: see why"

@@ -85,6 +85,50 @@ def over_position(
     return figure
 
 
+@as_png
+def over_channel(
+    title: str,
+    unit: str,
+    below: str,
+    value: Floats,
+    residual: Floats,
+    direction: Floats,
+    floor: float,
+    shade: tuple[str, Floats] | None = None,
+) -> "MplFigure":
+    """The residual of each reading over any channel, coloured by direction or by another channel.
+
+    Args:
+        title: title of the figure.
+        unit: unit of the readings, for people.
+        below: title of the channel.
+        value: its values, (n,).
+        residual: measured minus predicted, (n,).
+        direction: -1, 0 or +1, (n,).
+        floor: noise, root mean square; NaN where it is unknown.
+        shade: title and values, (n,), of the channel for the colours; None: by direction.
+    """
+    figure = canvas(5.4)
+    ax = figure.subplots()
+    if np.isfinite(floor):
+        ax.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
+    thin = np.arange(0, len(value), max(1, len(value) // MOST_DOTS))
+    if shade is not None:
+        dots = ax.scatter(value[thin], residual[thin], c=shade[1][thin], cmap="plasma", s=26, alpha=0.8)
+        figure.colorbar(dots, ax=ax).set_label(shade[0])
+    else:
+        for name, mask, colour, marker, _ in _ways(direction):
+            some = thin[mask[thin]]
+            ax.plot(value[some], residual[some], color=colour, marker=marker, linestyle="", markersize=6, alpha=0.7,
+                    label=f"residual{name}")  # fmt: skip
+    ax.axhline(0.0, color="black", linewidth=1)
+    ax.set_title(title)
+    ax.set_xlabel(below)
+    ax.set_ylabel(f"residual, {unit}")
+    _legend_above(ax)
+    return figure
+
+
 def _ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str, str]]:
     ways = [(", moving +", direction > 0, ON, "^", "-"), (", moving −", direction < 0, OFF, "v", "--")]
     there = [w for w in ways if w[1].any()]

@@ -35,6 +35,8 @@ STEP_PAGES: Final = ("compare", "diagnose", "add", "explore", "report")
 WENT: Final = "went"
 """Event of a browser that went back or forward, with the path."""
 TELL_OF_BACK: Final = f'window.addEventListener("popstate", () => emitEvent("{WENT}", location.pathname))'
+LOAD_PLOTS: Final = '(window.requestIdleCallback ?? setTimeout)(() => import("nicegui-plotly"))'
+"""Loads what draws the plots while the browser has nothing else to do: it takes about a second on a slow computer."""
 STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
 
 
@@ -122,7 +124,7 @@ class _Frame:
         with ui.element("nav").classes("side").props('aria-label="Pages"'):
             for key, title in PAGES.items():
                 link = Words("a", title).props(f'href="/{key}"')
-                link.on("click.prevent", lambda key=key: self.go(key))
+                link.on("click.prevent", lambda key=key: self._follow_list(key))
                 self._links[key] = link
         self._main = ui.element("div").classes("page")
         session.on_progress, session.on_change, session.go = self._show_progress, self._build, self.go
@@ -137,6 +139,11 @@ class _Frame:
             ui.navigate.history.push(f"/{name}")
             ui.run_javascript("window.scrollTo(0, 0)")
         self._show(name)
+
+    def _follow_list(self, name: str) -> None:
+        """Show a page of the list; the page Report then offers all that there is."""
+        self._session.reported = None
+        self.go(name)
 
     def _follow(self, path: str) -> None:
         """Show the page of an address to which the browser went back or forward."""
@@ -284,10 +291,13 @@ FAVICON: Final = (
 
 
 async def _warm_up() -> None:
-    """Load the modules of jobs and of the other pages, so that nobody waits for them later."""
+    """Load the modules of jobs, of the other pages, and of the plots, so that nobody waits for them later."""
+    client = ui.context.client
     jobs.warm_up()
     for name in PAGES:
         await asyncio.to_thread(_module, name)
+    if not client.is_deleted:
+        client.run_javascript(LOAD_PLOTS)
 
 
 def _module(name: str) -> ModuleType:

@@ -476,15 +476,21 @@ def _broken(name: str) -> str:
     return text(name).replace("(", "<br>(", 1)
 
 
-def bars(rows: Mapping[str, float], units: Mapping[str, str], title: str) -> Figure:
-    """Bars, largest at the top, each with its number and unit."""
+def bars(rows: Mapping[str, float], units: Mapping[str, str], title: str, words: Mapping[str, str]) -> Figure:
+    """Bars, largest at the top, each with its name, its meaning in words, its number and its unit.
+
+    Args:
+        rows: values by name, largest first.
+        units, words: by name.
+        title: title of the horizontal axis.
+    """
     names = list(rows)[::-1]
     values = [float(rows[n]) for n in names]
     trace = {
         "type": "bar",
         "orientation": "h",
         "x": values,
-        "y": [text(n) for n in names],
+        "y": [f"<b>{text(n)}</b><br>{text(words[n])}" for n in names],
         "marker": {"color": "@c3"},
         "text": [f"{v:.2f} {units[n]}" for n, v in zip(names, values, strict=True)],
         "textposition": "outside",

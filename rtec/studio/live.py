@@ -8,30 +8,21 @@ import asyncio
 import tomllib
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from rtec.control.client import Client, Outcome, carry_out, find
 from rtec.control.messages import Role
 from rtec.errors import RtecError
-from rtec.loop.clock import RealClock
+from rtec.loop.clock import RealClock, wall_clock_iso
 from rtec.loop.orders import order_named
+from rtec.report.daemon import DaemonMoment, Moment
 
 LOOKED_S, ALONE_S, AGAIN_S = 0.2, 1.0, 1.0
 NAME: Final = "studio"
 SECOND, MINUTE = 1.0, 60.0
 MINUTES, HOURS = 600, 1440
 """Number of stored points, one a second and one a minute."""
-
-
-@dataclass(frozen=True)
-class Moment:
-    """One point of the sparklines: time since the daemon's first row, s; applied correction, µm; temperatures, °C."""
-
-    time_s: float
-    applied_um: dict[str, float | None]
-    degc: dict[str, float | None]
 
 
 class LiveLink:
@@ -63,6 +54,12 @@ class LiveLink:
             return {axis: (float(t["warning_um"]), float(t["stop_um"])) for axis, t in tables.items()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return {}
+
+    def moment(self) -> DaemonMoment | None:
+        """The daemon as it is now, for a report; None while it does not answer."""
+        if self.status is None:
+            return None
+        return DaemonMoment(wall_clock_iso(), self.status, self.limits(), tuple(self.minutes), tuple(self.hours))
 
     def look(self, key: int, changed: Callable[[], None]) -> None:
         """Register a callback that is called after each new status."""

@@ -115,9 +115,24 @@ def at_fault(session: TabSession, key: str, field: Field) -> Field:
     return field
 
 
-def heading(text: str) -> None:
-    """The heading of the page."""
-    Words("h1", text)
+def heading(text: str, session: TabSession | None = None, part: str = "") -> None:
+    """The heading of the page.
+
+    Args:
+        text: the heading.
+        session: the tab, for a button beside the heading that leads to the report; None: without it.
+        part: the part of the report that shows what this page shows.
+    """
+    with ui.element("div").classes("row head"):
+        Words("h1", text)
+        if session is not None:
+            report = button("Report", lambda: _go_to_report(session, part))
+            label(report, f"Report of the page {text}")
+
+
+def _go_to_report(session: TabSession, part: str) -> None:
+    session.reported = frozenset({part})
+    session.go("report")
 
 
 def trouble(session: TabSession, place: str) -> None:

@@ -1,5 +1,10 @@
-"""A report as a PDF: sentences, tables and figures on pages of A4, drawn by matplotlib."""
+"""A report as a PDF: sentences, tables and figures on pages of A4, drawn by matplotlib.
 
+The report is a list of items: lines, gaps and pictures. A page takes as many of them as fit with its pictures at their
+smallest; then its pictures grow into the room that is there.
+"""
+
+from dataclasses import dataclass, replace
 from io import BytesIO
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
@@ -11,7 +16,6 @@ from rtec.report.page import Page, Section, Table
 from rtec.text import clean_lines
 
 if TYPE_CHECKING:
-    from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure as MplFigure
 
 Pixels = NDArray[np.float32]
@@ -20,8 +24,12 @@ LEAD, HEAD, TEXT, CELL = 14.0, 13.0, 10.0, 8.0
 """Font sizes, points."""
 LINE: Final = 1.35
 """Line spacing, in font sizes."""
+GAP_IN: Final = 0.15
+"""Space above a heading."""
 SMALLEST: Final = 0.7
-"""Smallest scale of a figure that is shrunk to fit on the present page."""
+"""Smallest scale of a picture that is shrunk to fit on a page."""
+FEW: Final = 6
+"""Up to this many lines are kept with the table or picture below them; up to this many rows of a table together."""
 POINTS_PER_IN, WORDS_WIDE, MONO_WIDE = 72.0, 0.52, 0.602
 """Mean width of a letter, and width of a monospaced one, in font sizes."""
 
@@ -35,91 +43,126 @@ def pdf_of(page: Page) -> bytes:
     # Names from files are no formulas.
     style: Any = {"pdf.fonttype": 42, "text.parse_math": False}
     with rc_context(style), PdfPages(out, metadata={"CreationDate": None, "Title": page.title}) as pages:
-        _Sheet(pages).fill(page)
+        for sheet in _sheets(_items(page)):
+            pages.savefig(_drawn(sheet))
     return out.getvalue()
 
 
-class _Sheet:
-    """The page that is being filled; a full one is saved and a new one begins."""
+@dataclass(frozen=True)
+class _Item:
+    """A line, a gap, or a picture.
 
-    def __init__(self, pages: "PdfPages") -> None:
-        self._pages, self._figure, self._left = pages, self._new(), HIGH_IN - 2.0 * EDGE_IN
+    Attributes:
+        high_in: height; of a picture in the width of the page.
+        words, style: of a line.
+        picture: of a picture.
+        keep: whether the next item is on the same page.
+    """
 
-    def fill(self, page: Page) -> None:
-        """Write the whole report."""
-        self._text(page.title, 18.0, weight="bold")
-        self._text(page.lead, LEAD)
-        for value, meaning in page.numbers:
-            self._text(f"{value}   {meaning}", TEXT)
-        for section in page.sections:
-            self._section(section)
-        for line in page.foot:
-            self._text(line, CELL)
-        self._pages.savefig(self._figure)  # type: ignore[no-untyped-call]
+    high_in: float
+    words: str = ""
+    style: tuple[tuple[str, Any], ...] = ()
+    picture: Pixels | None = None
+    keep: bool = False
 
-    def _section(self, section: Section) -> None:
-        heading = 2.0 * LINE * HEAD / POINTS_PER_IN + 0.5
-        picture = _picture(section.figure.png) if section.figure is not None else None
-        # A heading stays with its figure.
-        alone = picture is not None and not section.text and section.table is None
-        self._need(heading + (SMALLEST * _height_in(picture) if alone and picture is not None else 0.0))
-        self._left -= 0.15
-        self._text(section.heading, HEAD, weight="bold")
-        for sentence in section.text:
-            self._text(sentence, TEXT)
-        if section.table is not None:
-            self._table(section.table)
-        if picture is not None:
-            self._image(picture)
+    @property
+    def least_in(self) -> float:
+        """Smallest height."""
+        return self.high_in * (SMALLEST if self.picture is not None else 1.0)
 
-    def _new(self) -> "MplFigure":
-        from matplotlib.figure import Figure
 
-        return Figure(figsize=(WIDE_IN, HIGH_IN))
+def _items(page: Page) -> list[_Item]:
+    """The whole report."""
+    out = [*_text(page.title, 18.0, weight="bold"), *_text(page.lead, LEAD)]
+    for value, meaning in page.numbers:
+        out += _text(f"{value}   {meaning}", TEXT)
+    for section in page.sections:
+        out += _section(section)
+    for line in page.foot:
+        out += _text(line, CELL)
+    return out
 
-    def _need(self, inches: float) -> None:
-        if self._left < inches:
-            self._pages.savefig(self._figure)  # type: ignore[no-untyped-call]
-            self._figure, self._left = self._new(), HIGH_IN - 2.0 * EDGE_IN
 
-    def _text(self, words: str, size: float, **style: Any) -> None:
-        most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (WORDS_WIDE * size))
-        for paragraph in clean_lines(words).split("\n"):
-            for line in wrap(paragraph, most) or [""]:
-                self._line(line, size, **style)
+def _section(section: Section) -> list[_Item]:
+    out = [_Item(GAP_IN, keep=True), *_text(section.heading, HEAD, keep=True, weight="bold")]
+    words = [item for sentence in section.text for item in _text(sentence, TEXT)]
+    if len(words) <= FEW and (section.table is not None or section.figure is not None):
+        words = [replace(w, keep=True) for w in words]
+    out += words
+    if section.table is not None:
+        out += _table(section.table)
+    if section.figure is not None:
+        picture = _picture(section.figure.png)
+        out.append(_Item(_height_in(picture), picture=picture))
+    return out
 
-    def _line(self, words: str, size: float, **style: Any) -> None:
-        high = LINE * size / POINTS_PER_IN
-        self._need(high)
-        self._left -= high
-        y = (self._left + EDGE_IN) / HIGH_IN
-        self._figure.text(EDGE_IN / WIDE_IN, y, words, fontsize=size, va="bottom", **style)
 
-    def _table(self, table: Table) -> None:
-        """Write a table in monospaced letters; columns of words are cut if it is too wide."""
-        rows = [[clean_lines(c).replace("\n", " ") for c in row] for row in (table.head, *table.rows)]
-        widths = [max(len(row[k]) for row in rows) for k in range(len(table.head))]
-        most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (MONO_WIDE * CELL))
-        while sum(widths) + 2 * len(widths) > most and max(widths) > 8:
-            widths[widths.index(max(widths))] -= 1
-        for row in rows:
-            cells = [_cut(c, w).ljust(w) if k in table.words else _cut(c, w).rjust(w)
-                     for k, (c, w) in enumerate(zip(row, widths, strict=True))]  # fmt: skip
-            self._line("  ".join(cells), CELL, family="monospace")
-        if table.caption:
-            self._text(table.caption, CELL)
+def _text(words: str, size: float, *, keep: bool = False, **style: Any) -> list[_Item]:
+    most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (WORDS_WIDE * size))
+    lines = [line for paragraph in clean_lines(words).split("\n") for line in wrap(paragraph, most) or [""]]
+    return [_line(line, size, keep=keep, **style) for line in lines]
 
-    def _image(self, picture: Pixels) -> None:
-        """Place a picture in the width of the page, or smaller if that saves a new page."""
-        full = _height_in(picture)
-        self._need(SMALLEST * full)
-        high = min(full, self._left)
-        self._left -= high
-        wide = high * picture.shape[1] / picture.shape[0]
-        place = (EDGE_IN / WIDE_IN, (self._left + EDGE_IN) / HIGH_IN, wide / WIDE_IN, high / HIGH_IN)
-        axes = self._figure.add_axes(place)
-        axes.imshow(picture, aspect="equal", interpolation="lanczos")
-        axes.set_axis_off()
+
+def _line(words: str, size: float, *, keep: bool = False, **style: Any) -> _Item:
+    return _Item(LINE * size / POINTS_PER_IN, words, (("fontsize", size), *style.items()), keep=keep)
+
+
+def _table(table: Table) -> list[_Item]:
+    """A table in monospaced letters; the widest columns are on several lines if it is too wide."""
+    rows = [[clean_lines(c).replace("\n", " ") for c in row] for row in (table.head, *table.rows)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(table.head))]
+    most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (MONO_WIDE * CELL))
+    while sum(widths) + 2 * (len(widths) - 1) > most and max(widths) > 8:
+        widths[widths.index(max(widths))] -= 1
+    out = []
+    for number, row in enumerate(rows):
+        cells = [wrap(c, w) or [""] for c, w in zip(row, widths, strict=True)]
+        high = max(map(len, cells))
+        for k in range(high):
+            parts = [c[k] if k < len(c) else "" for c in cells]
+            shown = [p.ljust(w) if i in table.words else p.rjust(w)
+                     for i, (p, w) in enumerate(zip(parts, widths, strict=True))]  # fmt: skip
+            # A row, the head with the first row, and a short table are on one page.
+            keep = number == 0 or k < high - 1 or number < len(rows) - 1 <= FEW
+            out.append(_line("  ".join(shown).rstrip(), CELL, keep=keep, family="monospace"))
+    return [*out, *(_text(table.caption, CELL) if table.caption else [])]
+
+
+def _sheets(items: list[_Item]) -> list[list[_Item]]:
+    """The items of each page."""
+    room, out, first = HIGH_IN - 2.0 * EDGE_IN, [], 0
+    while first < len(items):
+        end, used = first, 0.0
+        while end < len(items) and (used := used + items[end].least_in) <= room:
+            end += 1
+        last = end
+        while end < len(items) and end > first and items[end - 1].keep:
+            end -= 1  # what is kept with the next one goes there with it
+        end = max(end if end > first else last, first + 1)
+        out.append(items[first:end])
+        first = end
+    return out
+
+
+def _drawn(sheet: list[_Item]) -> "MplFigure":
+    """A page."""
+    from matplotlib.figure import Figure
+
+    figure, left = Figure(figsize=(WIDE_IN, HIGH_IN)), HIGH_IN - EDGE_IN
+    pictures = sum(i.high_in for i in sheet if i.picture is not None)
+    others = sum(i.high_in for i in sheet if i.picture is None)
+    scale = min(1.0, (HIGH_IN - 2.0 * EDGE_IN - others) / pictures) if pictures else 1.0
+    for item in sheet:
+        high = item.high_in * (scale if item.picture is not None else 1.0)
+        left -= high
+        if item.picture is not None:
+            wide = high * item.picture.shape[1] / item.picture.shape[0]
+            axes = figure.add_axes((EDGE_IN / WIDE_IN, left / HIGH_IN, wide / WIDE_IN, high / HIGH_IN))
+            axes.imshow(item.picture, aspect="equal", interpolation="lanczos")
+            axes.set_axis_off()
+        elif item.words:
+            figure.text(EDGE_IN / WIDE_IN, left / HIGH_IN, item.words, va="bottom", **dict(item.style))
+    return figure
 
 
 def _picture(png: bytes) -> Pixels:
@@ -132,7 +175,3 @@ def _height_in(picture: Pixels) -> float:
     """Height of a picture in the width of the page, at most that of the page."""
     wide = WIDE_IN - 2.0 * EDGE_IN
     return float(min(wide * picture.shape[0] / picture.shape[1], HIGH_IN - 2.0 * EDGE_IN - 1.0))
-
-
-def _cut(text: str, width: int) -> str:
-    return text if len(text) <= width else f"{text[: width - 1]}…"

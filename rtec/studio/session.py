@@ -14,8 +14,17 @@ from rtec.studio.jobs import Cancelled, Job, Reporter
 
 if TYPE_CHECKING:
     from rtec.model import Model
+    from rtec.report.machine_state import MachineState
     from rtec.studio.live import LiveLink
-    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, ImportView, ReportFiles, SeriesView
+    from rtec.studio.tasks import (
+        AddedView,
+        CompareView,
+        DiagnosisView,
+        ImportView,
+        ReportFiles,
+        ReportParts,
+        SeriesView,
+    )
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
@@ -118,7 +127,9 @@ class TabSession:
         view: texts of fields and settings of plots, by name.
         foreign: the file of another program that is being imported, or None.
         live: connection to a daemon, or None.
-        report: the last report, and its step.
+        explored: what the page Explore shows; None before its first visit.
+        reported: names of the parts that the report is to hold; None: all that there are.
+        report: the last report, and its parts.
         on_progress, on_change, on_names: redraw the progress, the whole page, or the names at its top.
         on_compared: adds a comparison to a page that already shows its residual; gives whether there is such a page.
     """
@@ -145,7 +156,9 @@ class TabSession:
     view: dict[str, str] = field(default_factory=dict)
     foreign: ForeignFile | None = None
     live: LiveLink | None = None
-    report: tuple[ModelStep, ReportFiles] | None = None
+    explored: MachineState | None = None
+    reported: frozenset[str] | None = None
+    report: tuple[ReportParts, ReportFiles] | None = None
     on_progress: Callable[[], None] = lambda: None
     on_change: Callable[[], None] = lambda: None
     on_names: Callable[[], None] = lambda: None

@@ -4,7 +4,7 @@ The first argument of each task is its reporter. The numbers are those of the co
 same arguments.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rtec
-from rtec.errors import ModelError, RtecError
+from rtec.errors import RtecError
 from rtec.studio.folder import Summary
 from rtec.studio.jobs import Reporter
 
@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from rtec.machine import Machine
     from rtec.metrology.importing import ImportProposal
     from rtec.model import Model
+    from rtec.report.daemon import DaemonMoment
     from rtec.report.evidence import Evidence
-    from rtec.report.page import Page
+    from rtec.report.machine_state import MachineState
+    from rtec.report.page import Page, Section
     from rtec.result import Result
 
 Floats = NDArray[np.float64]
@@ -308,19 +310,15 @@ SHOWN = 8
 
 
 def _curves(d: "Diagnosis") -> dict[int, "tuple[Evidence, ...]"]:
-    from rtec.diagnosis.search.picture import of_effect
+    from rtec.diagnosis.search.picture import of_finding
     from rtec.report.evidence import evidence
 
-    out = {}
-    if d.picture is not None and d.picture.drivers:
-        out[0] = tuple(evidence(p) for p in (d.picture, *d.picture.others) if p.drivers)
-    if d.judged is None:
-        return out
-    for f in d.findings[:SHOWN]:
-        p = of_effect(d.judged.readings, d.judged.base.columns, d.judged.noise, f.label, f.effect, f.theta)
-        if p is not None and p.drivers:
-            out[f.rank] = tuple(evidence(q) for q in (p, *p.others) if q.drivers)
-    return out
+    pictures = {0: d.picture} | {f.rank: of_finding(d, f) for f in d.findings[:SHOWN]}
+    return {
+        rank: tuple(evidence(q) for q in (p, *p.others) if q.drivers)
+        for rank, p in pictures.items()
+        if p is not None and p.drivers
+    }
 
 
 @dataclass(frozen=True)
@@ -459,43 +457,30 @@ def try_it(line: Reporter, folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Preview:
+class PreviewView:
     """An expression over the residual: the curves, and the explained share of the residual, in words."""
 
     evidence: "Evidence"
     words: str
 
 
-def preview(line: Reporter, model: "Model", request: EffectRequest, files: Sequence[Path]) -> Preview:
+def preview(line: Reporter, model: "Model", request: EffectRequest, files: Sequence[Path]) -> PreviewView:
     """Fit an expression to the residual by plain least squares, with its non-linear parameters as given.
 
     Raises:
         RtecError: the expression is invalid, or no reading shows it.
     """
-    from rtec.diagnosis.search.picture import of_effect
-    from rtec.effects.expression import expression_from_text
-    from rtec.estimation.judge import Judgement
-    from rtec.estimation.outliers import clean
+    from rtec.diagnosis.extend.preview import preview as previewed
     from rtec.metrology.files.load import load_measurements
     from rtec.report.evidence import evidence
     from rtec.wording import percent
 
     del line
-    if not request.component:
-        raise ModelError("name the component error that the expression feeds, for example EXX")
-    effect = expression_from_text(request.expression, list(request.parameters), request.component, model.machine)
-    effect.check(model.machine, "expression")
-    theta = {p.name: p.start for p in effect.nonlinear(model.machine)}
-    judged = Judgement(model, clean(load_measurements(files, model.machine), model.reference_degc))
-    p = of_effect(judged.readings, judged.base.columns, judged.flexible, request.label, effect, theta)
-    if p is None or not p.drivers:
-        raise ModelError(f"no reading shows {request.expression}; nothing that it depends on was moved")
-    before, after = float(np.mean(p.residual**2)), float(np.mean((p.residual - p.part) ** 2))
-    share = 1.0 - after / max(before, 1e-30)
-    fall = f"removes {percent(share)}" if share > 0.0 else "removes nothing"
-    return Preview(
-        evidence(p), f"With these parameters it {fall} of the mean square of the residual of these readings."
-    )
+    read = load_measurements(files, model.machine)
+    shown = previewed(model, read, request.expression, request.parameters, request.component)
+    fall = f"removes {percent(shown.removed)}" if shown.removed > 0.0 else "removes nothing"
+    words = f"With these parameters it {fall} of the mean square of the residual of these readings."
+    return PreviewView(evidence(shown.picture), words)
 
 
 PREVIEWED = 6000
@@ -547,7 +532,9 @@ def look_at_foreign(
 
     line.stage("reading the file", 0, 0)
     known = rtec.load_machine(machine) if machine is not None else None
-    proposal = with_columns(_proposed(path, known, dict(answers)), edited)
+    proposal = _proposed(path, known, dict(answers))
+    if edited is not None:
+        proposal = proposal.with_columns(edited)
     if proposal.open or known is None:
         return ImportView(proposal)
     try:
@@ -573,18 +560,6 @@ def _proposed(path: Path, machine: "Machine | None", answers: dict[str, str]) ->
     return first
 
 
-def with_columns(proposal: "ImportProposal", edited: Mapping[str, Mapping[str, Any]] | None) -> "ImportProposal":
-    """The proposal with the columns that a person gave it; None leaves it as it is."""
-    if edited is None:
-        return proposal
-    becomes = {str(c["from"]): target for target, c in edited.items()}
-    changed = tuple(
-        c if becomes.get(c.name, "") == c.becomes else replace(c, becomes=becomes.get(c.name, ""), reason="given")
-        for c in proposal.columns
-    )
-    return replace(proposal, content={**proposal.content, "column": dict(edited)}, columns=changed)
-
-
 def import_foreign(line: Reporter, path: Path, proposal: "ImportProposal", out: Path) -> tuple[str, ...]:
     """Write a file of another program as a measurement, with the map that made it; give the notes on it."""
     line.stage("importing", 0, 0)
@@ -599,25 +574,131 @@ class ReportFiles:
     pdf: bytes
 
 
-def report(
-    line: Reporter, model: "Model", files: Sequence[Path], named: Path, diagnosed: "Diagnosis | None"
-) -> ReportFiles:
-    """Draw the report of a step: comparison, diagnosis where there is one, history; with their figures."""
-    from rtec.report.history import history_sections
+@dataclass(frozen=True)
+class DrawnPlot:
+    """The residual as the page Compare draws it.
+
+    Attributes:
+        series: the reading column.
+        over, colour: titles of the channels; `colour` is empty for the direction of motion.
+    """
+
+    series: SeriesView
+    over: str
+    colour: str
+
+
+@dataclass(frozen=True)
+class ReportParts:
+    """What a report is to hold.
+
+    Attributes:
+        names: names of the pages whose content it shows.
+        model: the model; None: nothing of the model is shown but its state.
+        files, named: tables of the measurements, and path of the model in commands.
+        drawn: the plot of the page Compare, where the user chose how to draw it.
+        diagnosed: the diagnosis, and `rank` the candidate that is shown.
+        added: sections on the last addition.
+        state: what the page Explore shows.
+        daemon: what the page Live shows.
+    """
+
+    names: tuple[str, ...]
+    model: "Model | None" = None
+    files: tuple[Path, ...] = ()
+    named: Path | None = None
+    drawn: DrawnPlot | None = None
+    diagnosed: DiagnosisView | None = None
+    rank: int = 1
+    added: "Sequence[Section]" = ()
+    state: "MachineState | None" = None
+    daemon: "DaemonMoment | None" = None
+
+    def is_as(self, other: "ReportParts") -> bool:
+        """Whether a report of the one is a report of the other, too: the same objects, drawn in the same way."""
+        one, two = ((p.names, p.files, p.rank, p.drawn and (p.drawn.over, p.drawn.colour)) for p in (self, other))
+        series = [p.drawn.series if p.drawn else None for p in (self, other)]
+        kept = all(getattr(self, k) is getattr(other, k) for k in ("model", "diagnosed", "state", "daemon"))
+        return one == two and series[0] is series[1] and kept
+
+
+def report(line: Reporter, parts: ReportParts) -> ReportFiles:
+    """Draw a report of what pages show, with its figures."""
     from rtec.report.page import Page, render
     from rtec.studio.pdf import pdf_of
 
-    names = tuple(Path(f.name) for f in (named, *files))
-    compared = replace(rtec.compare(model, files, progress=line.stage), files=names).page()
     line.stage("drawing the report", 0, 0)
-    sections = list(compared.sections)
-    lead = compared.lead
-    if diagnosed is not None:
-        found = diagnosed.page()
-        lead = f"{lead}\n{found.lead}"
-        sections += found.sections
-    page = Page(
-        f"{model.name} on {', '.join(f.stem for f in names[1:])}", lead, compared.numbers,
-        [*sections, *history_sections(model, True)], compared.foot,
-    )  # fmt: skip
-    return ReportFiles(render(page).encode(), pdf_of(page))
+    titles: list[str] = []
+    leads: list[str] = []
+    numbers: list[tuple[str, str]] = []
+    sections: list[Section] = []
+    foot: list[str] = []
+    if parts.model is not None:
+        names = tuple(Path(f.name) for f in ((parts.named or Path("model.toml")), *parts.files))
+        titles.append(f"{parts.model.name} on {', '.join(f.stem for f in names[1:])}")
+        for page in _model_pages(line, parts, names):
+            leads.append(page.lead)
+            numbers += page.numbers
+            sections += page.sections
+            foot += page.foot
+    if parts.state is not None:
+        from rtec.report.machine_state import machine_state_sections, state_sentence
+
+        titles.append(f"{parts.state.model.name} in one state")
+        leads.append(state_sentence(parts.state))
+        sections += machine_state_sections(parts.state)
+    if parts.daemon is not None:
+        from rtec.report.daemon import daemon_lead, daemon_sections
+
+        titles.append(f"{parts.daemon.status['machine']}, running")
+        leads.append(daemon_lead(parts.daemon))
+        sections += daemon_sections(parts.daemon)
+    made = Page(titles[0] if titles else "Report", "\n".join(filter(None, leads)), numbers, sections,
+                list(dict.fromkeys(foot)))  # fmt: skip
+    return ReportFiles(render(made).encode(), pdf_of(made))
+
+
+def _model_pages(line: Reporter, parts: ReportParts, names: "tuple[Path, ...]") -> "Iterator[Page]":
+    """Pages on the model: comparison, diagnosis, additions, as far as they are to be shown."""
+    from rtec.report.history import history_sections
+    from rtec.report.page import Page
+
+    if parts.model is None:
+        return
+    if "compare" in parts.names:
+        compared = replace(rtec.compare(parts.model, parts.files, progress=line.stage), files=names).page()
+        line.stage("drawing the report", 0, 0)
+        if parts.drawn is not None:
+            compared = replace(compared, sections=[_drawn_section(parts.drawn), *compared.sections])
+        yield compared
+    if parts.diagnosed is not None:
+        found = parts.diagnosed.found.page()
+        yield replace(found, numbers=(), sections=[*found.sections, *_candidate_sections(parts)], foot=())
+    if "add" in parts.names:
+        yield Page("", "", (), [*parts.added, *history_sections(parts.model, True)])
+
+
+def _drawn_section(plot: DrawnPlot) -> "Section":
+    """The residual as the page Compare draws it."""
+    from rtec.report.compare_figures import over_channel
+    from rtec.report.page import Figure, Section
+
+    s = plot.series
+    shade = (plot.colour, s.channels[plot.colour]) if plot.colour else None
+    png = over_channel(s.name, s.unit, plot.over, s.channels[plot.over], s.residuals, s.direction, s.floor, shade)
+    by = f", coloured by {plot.colour}" if plot.colour else ""
+    words = f"The residual over {plot.over}{by}"
+    return Section(words, [], None, Figure("drawn.png", png, words))
+
+
+def _candidate_sections(parts: ReportParts) -> "list[Section]":
+    """The curve of the candidate that is shown, where it is another than that of the diagnosis itself."""
+    from rtec.report.diagnosis import evidence_figure
+    from rtec.report.page import Figure, Section
+
+    view = parts.diagnosed
+    if view is None or parts.rank <= 1 or parts.rank not in view.curves:
+        return []
+    f = next(f for f in view.found.findings if f.rank == parts.rank)
+    heading = f"Candidate {f.rank}, {f.label}: residual and fitted effect"
+    return [Section(heading, [], None, Figure("candidate.png", evidence_figure(view.curves[parts.rank]), heading))]

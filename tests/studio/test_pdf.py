@@ -1,5 +1,6 @@
 """The report as a PDF. Oracle: the sheets that matplotlib is given, with their texts and places of pictures."""
 
+from dataclasses import replace
 from io import BytesIO
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from PIL import Image
 
 from rtec.report.figures import Png
-from rtec.report.page import Figure, Page, Section
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.studio.pdf import pdf_of
 
 
@@ -31,6 +32,32 @@ def test_a_heading_stays_with_its_figure(monkeypatch: pytest.MonkeyPatch) -> Non
     for sheet in sheets:
         boxes = sorted(a.get_position().bounds for a in sheet.axes)
         assert all(y >= 0.0 and x + w <= 1.0 for x, y, w, _ in boxes)
+
+
+def test_pictures_share_their_pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of seven pictures of three tenths of a page, three are on each sheet but the last, each with its words."""
+    sheets: list[Any] = []
+    monkeypatch.setattr("matplotlib.backends.backend_pdf.PdfPages.savefig", lambda _, figure: sheets.append(figure))
+    page = _page(7)
+    pdf_of(replace(page, sections=[replace(s, text=["A sentence."]) for s in page.sections]))
+    assert [len(s.axes) for s in sheets] == [3, 3, 1]
+    for sheet in sheets:
+        assert sum(t.get_text() == "A sentence." for t in sheet.texts) == len(sheet.axes)
+        assert min(a.get_position().y0 for a in sheet.axes) > 0.0
+
+
+def test_a_wide_table_has_all_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the words of its cells; a row is not parted by the end of a page."""
+    sheets: list[Any] = []
+    monkeypatch.setattr("matplotlib.backends.backend_pdf.PdfPages.savefig", lambda _, figure: sheets.append(figure))
+    cell = " ".join(f"word{k}" for k in range(40))
+    rows = [(f"row{k:03d}", cell, cell) for k in range(40)]
+    pdf_of(Page("Title", "Lead.", [], [Section("Wide", [], Table(("name", "one", "two"), rows, words=(0, 1, 2)))], []))
+    assert len(sheets) > 2
+    starts = [next(t.get_text() for t in s.texts if "word" in t.get_text()) for s in sheets]
+    assert all(line.startswith("row") for line in starts)
+    said = [w for s in sheets for t in s.texts for w in t.get_text().split()]
+    assert sum(w.startswith("word") for w in said) == 2 * 40 * 40
 
 
 def test_the_same_report_gives_the_same_bytes() -> None:

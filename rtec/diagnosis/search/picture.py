@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.result import OnCircle, Picture
+from rtec.diagnosis.result import Diagnosis, Finding, OnCircle, Picture
 from rtec.diagnosis.search.confounded import period_mm
 from rtec.effects import Effect
 from rtec.estimation import floor
@@ -32,6 +32,13 @@ def of_effect(
     if shown is None or period is None:
         return shown
     return replace(shown, period_mm=period, others=tuple(replace(other, period_mm=period) for other in shown.others))
+
+
+def of_finding(d: Diagnosis, f: Finding) -> Picture | None:
+    """Picture of a candidate of a diagnosis; None where no reading shows it, or the diagnosis has no readings."""
+    if d.judged is None:
+        return None
+    return of_effect(d.judged.readings, d.judged.base.columns, d.judged.noise, f.label, f.effect, f.theta)
 
 
 def of_shape(

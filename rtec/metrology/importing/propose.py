@@ -10,7 +10,7 @@ import re
 import tomllib
 import typing
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final
@@ -141,6 +141,19 @@ class ImportProposal:
             MeasurementError: an answer belongs to no question, or is not possible.
         """
         return propose(self.path, self.machine, self.preset, {**self.answers, **answers})
+
+    def with_columns(self, columns: Mapping[str, Mapping[str, Any]]) -> "ImportProposal":
+        """The proposal with other columns in its map.
+
+        Args:
+            columns: the `[column.…]` tables of the map, by the name that each column becomes.
+        """
+        becomes = {str(c["from"]): target for target, c in columns.items()}
+        changed = tuple(
+            c if becomes.get(c.name, "") == c.becomes else replace(c, becomes=becomes.get(c.name, ""), reason="given")
+            for c in self.columns
+        )
+        return replace(self, content={**self.content, "column": dict(columns)}, columns=changed)
 
     def import_map(self) -> ImportMap:
         """The map.

@@ -38,7 +38,7 @@ MOST_RESIDUALS = 3
 
 def build(session: TabSession) -> None:
     """The page."""
-    heading("Add and watch")
+    heading("Add and watch", session, "add")
     if lacking(session):
         return
     step = session.step

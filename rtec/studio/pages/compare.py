@@ -12,7 +12,7 @@ from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
 from rtec.studio.parts import Area, Words, button, heading, lacking, section, table, tiles, waiting
 from rtec.studio.session import TabSession
-from rtec.studio.tasks import CompareView, OutlierView, SeriesView
+from rtec.studio.tasks import CompareView, DrawnPlot, OutlierView, SeriesView
 from rtec.text import clean
 from rtec.wording import counted, decimals, number, sizes
 
@@ -24,7 +24,7 @@ NONE: Final[Ints] = np.zeros(0, dtype=np.int64)
 
 def build(session: TabSession) -> None:
     """The page."""
-    heading("Compare")
+    heading("Compare", session, "compare")
     if lacking(session):
         return
     step = session.step
@@ -87,6 +87,19 @@ def worst_first(series: Sequence[SeriesView]) -> list[int]:
     return sorted(range(len(series)), key=lambda k: -badness[k])
 
 
+def shown_plot(session: TabSession, series: Sequence[SeriesView]) -> DrawnPlot:
+    """What the first plot draws: the chosen reading column, and the channels for its axis and its colours."""
+    s = _chosen(session, series)
+    over, colour = (session.view.get(key, "") for key in ("over", "colour"))
+    return DrawnPlot(s, over if over in s.channels else next(iter(s.channels)), colour if colour in s.channels else "")
+
+
+def _chosen(session: TabSession, series: Sequence[SeriesView]) -> SeriesView:
+    """The chosen reading column; at first the one with the largest residual."""
+    kept, names = session.view.get("series", ""), [s.name for s in series]
+    return series[names.index(kept) if kept in names else worst(series)]
+
+
 @dataclass
 class _Plot:
     """A plot and its readings.
@@ -107,21 +120,17 @@ class _Plots:
 
     def __init__(self, session: TabSession, series: tuple[SeriesView, ...]) -> None:
         self._session, self._all = session, series
-        kept = session.view.get("series", "")
-        names = [s.name for s in series]
-        self._series = series[names.index(kept) if kept in names else worst(series)]
+        self._series = _chosen(session, series)
         self._plots: dict[str, _Plot] = {}
         self._wrong: tuple[OutlierView, ...] = ()
 
     @property
     def _over(self) -> str:
-        chosen = self._session.view.get("over", "")
-        return chosen if chosen in self._series.channels else next(iter(self._series.channels))
+        return shown_plot(self._session, (self._series,)).over
 
     @property
     def _colour(self) -> str:
-        chosen = self._session.view.get("colour", "")
-        return chosen if chosen in self._series.channels else ""
+        return shown_plot(self._session, (self._series,)).colour
 
     def build(self) -> None:
         s = self._series

@@ -42,7 +42,7 @@ VERDICTS: Final[Mapping[Verdict, tuple[str, str]]] = {
 
 def build(session: TabSession) -> None:
     """The page."""
-    heading("Diagnose")
+    heading("Diagnose", session, "diagnose")
     if lacking(session):
         return
     step = session.step

@@ -1,40 +1,37 @@
 """Explore: the machine's chain with its magnified error, effect by effect, and the errors of a part."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import product
 from typing import Any, Final
 
 import numpy as np
 from nicegui import events, ui
 
-from rtec.diagnosis.words import UNITS
+from rtec.diagnosis.words import UNITS, titled
 from rtec.errors import RtecError
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
+from rtec.machine.links import LinkPlaces, Side, component_words, link_places, room_mm
 from rtec.model import Model
-from rtec.model.at import state_at
+from rtec.model.volume import component_errors, tip_errors
+from rtec.report.machine_state import SIDES, MachineState, effect_words, fed_errors, state_sentence
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
-from rtec.studio.geometry import ChainNodes, cylinder, nodes
 from rtec.studio.parts import Words, heading, label, lacking, number, waiting
 from rtec.studio.session import TabSession
 from rtec.wording import number as shown
 from rtec.wording import significant
 
-PLACES: Final = 5
-"""Number of places of each axis on the volumetric map."""
 SPEED_RPM, DEGC = 6000.0, 25.0
-THIN, ROOM = 0.3, 0.65
-"""Smallest extent of the room as a share of its largest; half of its width over that of the machine."""
 MAGNIFIED: Final = (0.0, 5.0)
 """Range of the magnification, as powers of ten."""
+TINTS: Final[Mapping[Side, str]] = {"tool": "@c2", "work": "@c3"}
 
 
 def build(session: TabSession) -> None:
     """The page."""
-    heading("Explore")
+    heading("Explore", session, "explore")
     if lacking(session):
         return
     step = session.step
@@ -57,16 +54,18 @@ class _Explorer:
 
     def __init__(self, session: TabSession, model: Model) -> None:
         self._session, self._model = session, model
-        machine = model.machine
-        self._state: dict[str, float] = {a.name: 0.5 * sum(a.travel_mm) for a in machine.axes}
-        self._state |= {f"dir_{a.name}": 1.0 for a in machine.axes}
-        for sensor in (s for s in machine.sensor_names if s in model.channels):
-            low, high = model.valid_range.get(sensor, (model.reference_degc,) * 2)
-            self._state[sensor] = min(max(model.reference_degc, low), high)
         self._others = [c for c in ("spindle_rpm", "load_kg", "force_n") if c in model.channels]
-        self._state |= dict.fromkeys(self._others, 0.0)
-        self._off: set[int] = set()
-        self._power = 4.0
+        kept = session.explored
+        first = _first(model, self._others)
+        if kept is None or kept.model is not model:
+            known = {} if kept is None else kept.state
+            state = {k: float(known.get(k, v)) for k, v in first.items()}
+            kept = MachineState(model, state, magnified=1e4 if kept is None else kept.magnified)
+        self._keep(kept)
+
+    def _keep(self, now: MachineState) -> None:
+        """Store what is shown; the session keeps it for later visits of the page and for the report."""
+        self._now = self._session.explored = now
 
     def build(self) -> None:
         self._headline = Words("p", "", "lead").props('role="status" aria-live="polite"')
@@ -91,27 +90,28 @@ class _Explorer:
         machine, model = self._model.machine, self._model
         with ui.element("div").classes("card"):
             Words("h2", "Where, and in what state")
-            self._slider("", "magnified, times", *MAGNIFIED, self._power)
+            self._slider("", "magnified, times", *MAGNIFIED, float(np.log10(self._now.magnified)))
             for a in machine.axes:
-                self._slider(a.name, f"{a.name}, mm", *a.travel_mm, self._state[a.name])
+                self._slider(a.name, f"{a.name}, mm", *a.travel_mm, self._now.state[a.name])
             for a in machine.axes:
                 if a.direction_channel in model.channels:
                     with ui.element("div").classes("row"):
                         Words("span", f"{a.name} moved last")
                         signs = {1: "+", -1: "−"}
-                        toggle = ui.toggle(signs, value=1, on_change=partial(self._set, f"dir_{a.name}"))
+                        way = int(self._now.state[f"dir_{a.name}"])
+                        toggle = ui.toggle(signs, value=way, on_change=partial(self._set, f"dir_{a.name}"))
                         label(toggle.props("no-caps unelevated toggle-color=primary"), f"direction of {a.name}")
             for sensor in (s for s in machine.sensor_names if s in model.channels):
                 low, high = model.valid_range.get(sensor, (model.reference_degc - DEGC, model.reference_degc + DEGC))
-                self._slider(sensor, f"{sensor}, °C", low, high, self._state[sensor])
+                self._slider(sensor, f"{sensor}, °C", low, high, self._now.state[sensor])
             for name in self._others:
                 low, high = model.valid_range.get(name, (0.0, SPEED_RPM if name == "spindle_rpm" else 1000.0))
-                self._slider(name, name, min(low, 0.0), high, 0.0)
+                self._slider(name, titled(name), min(low, 0.0), high, self._now.state[name])
         with ui.element("div").classes("card"):
             Words("h2", "Effects")
-            for k, f in enumerate(model.effects):
-                words = f"{type(f.effect).about.title}: {f.label}"
-                label(ui.checkbox(words, value=True, on_change=partial(self._toggle, k)), words)
+            for k in range(len(model.effects)):
+                words, on = effect_words(model, k), k not in self._now.off
+                label(ui.checkbox(words, value=on, on_change=partial(self._toggle, k)), words)
 
     def _slider(self, key: str, name: str, low: float, high: float, value: float) -> None:
         """A slider with a field for numbers in German and in English; without a key it is the magnification."""
@@ -139,10 +139,10 @@ class _Explorer:
                 written = field.value = as_text(now)
                 field.error = None
             if key:
-                self._state[key] = now
+                self._put(key, now)
             else:
-                self._power = now
-            self._redraw()
+                self._keep(replace(self._now, magnified=10.0**now))
+                self._redraw()
 
         def apply() -> None:
             nonlocal written
@@ -167,11 +167,14 @@ class _Explorer:
         field.on("keydown.enter", apply).on("blur", apply)
 
     def _set(self, key: str, event: events.ValueChangeEventArguments[Any]) -> None:
-        self._state[key] = float(event.value)
+        self._put(key, float(event.value))
+
+    def _put(self, key: str, value: float) -> None:
+        self._keep(replace(self._now, state={**self._now.state, key: value}))
         self._redraw()
 
     def _toggle(self, k: int, event: events.ValueChangeEventArguments[bool | None]) -> None:
-        (self._off.discard if event.value else self._off.add)(k)
+        self._keep(replace(self._now, off=self._now.off - {k} if event.value else self._now.off | {k}))
         self._redraw()
 
     def _redraw(self) -> None:
@@ -180,40 +183,30 @@ class _Explorer:
 
     def _figures(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
         """Figures of machine, volumetric map and bars; updates the headline."""
-        model = replace(self._model, effects=tuple(f for k, f in enumerate(self._model.effects) if k not in self._off))
-        machine = model.machine
-        error = model.predict(dict(self._state))
-        values = model.components(state_at(model, dict(self._state), {})[0])[0]
-        components = dict(zip(machine.components, values.tolist(), strict=True))
-        tip = ", ".join(f"{axis} {shown(float(e), 2, sign=True)}" for axis, e in zip("XYZ", error, strict=True))
-        self._headline.set_text(f"Here the tool tip is off by {tip} µm. {_part(model, self._state)}")
-        pose = {a.name: self._state[a.name] for a in machine.axes}
-        sides = {side: nodes(machine, components, pose, side) for side in ("tool", "work")}
-        magnified = 10.0**self._power
-        fed = {c: components[c] for c in model.fed}
-        bars = _bars(fed) if fed else {"data": [], "layout": figures.layout()}
-        return _scene(machine, sides, magnified), _volume(model, self._state, magnified), bars
+        now, machine = self._now, self._model.machine
+        self._headline.set_text(state_sentence(now))
+        components = component_errors(now.switched, now.state)
+        sides = {side: link_places(machine, components, now.pose_mm, side) for side in SIDES}
+        fed = fed_errors(now)
+        bars = _bars(fed, machine) if fed else {"data": [], "layout": figures.layout()}
+        return _scene(machine, sides, now.magnified), _volume(now), bars
 
 
-def _part(model: Model, state: Mapping[str, float]) -> str:
-    """Sentence on the errors of a cylinder of 200 mm."""
-    try:
-        c = cylinder(model, state)
-    except RtecError as e:
-        return f"{str(e)[0].upper()}{str(e)[1:]}."
-    size = shown(200.0 + 1e-3 * c.larger_um, 4)
-    if c.turned:
-        return (
-            f"A turned cylinder of 200 mm would measure {size} mm; over {c.length_mm:.0f} mm of length its diameter "
-            f"changes by {shown(c.form_um, 1)} µm."
-        )
-    return f"A milled cylinder of 200 mm would measure {size} mm and be {shown(c.form_um, 1)} µm out of round."
+def _first(model: Model, others: Sequence[str]) -> dict[str, float]:
+    """The state with which the page begins: the middle of the travels, at the reference temperature."""
+    machine = model.machine
+    out: dict[str, float] = {a.name: 0.5 * sum(a.travel_mm) for a in machine.axes}
+    out |= {f"dir_{a.name}": 1.0 for a in machine.axes}
+    for sensor in (s for s in machine.sensor_names if s in model.channels):
+        low, high = model.valid_range.get(sensor, (model.reference_degc,) * 2)
+        out[sensor] = min(max(model.reference_degc, low), high)
+    return out | dict.fromkeys(others, 0.0)
 
 
-def _bars(fed: Mapping[str, float]) -> dict[str, Any]:
-    ordered = dict(sorted(fed.items(), key=lambda kv: -abs(kv[1])))
-    units = {c: UNITS[component_unit(c)] for c in ordered}
-    figure = figures.bars(ordered, units, f"component error, {' or '.join(sorted(set(units.values())))}")
+def _bars(fed: Mapping[str, float], machine: Machine) -> dict[str, Any]:
+    units = {c: UNITS[component_unit(c)] for c in fed}
+    words = {c: component_words(c, machine) for c in fed}
+    figure = figures.bars(fed, units, f"component error, {' or '.join(sorted(set(units.values())))}", words)
     figure["layout"]["xaxis"]["zeroline"] = True
     figure["layout"]["margin"] = {"l": 70, "r": 70, "t": 44, "b": 56}  # numbers are at the ends of the bars
     return figure
@@ -225,13 +218,8 @@ def _axis3(title: str) -> dict[str, Any]:
 
 def _layout3(machine: Machine) -> dict[str, Any]:
     """Layout of a room with space for the machine at both ends of its travels, so that it is constant during motion."""
-    zero = np.zeros((1, 3))
-    ends = [{a.name: a.travel_mm[end] for a in machine.axes} for end in (0, 1)]
-    places = [zero, *(nodes(machine, {}, pose, side).place_mm for pose in ends for side in ("tool", "work"))]
-    low, high = (f(np.concatenate(places), axis=0) for f in (np.min, np.max))
-    size = np.maximum(high - low, THIN * float((high - low).max()))
-    middle = 0.5 * (low + high)
-    ranges = np.stack([middle - ROOM * size, middle + ROOM * size], axis=1)
+    ranges = room_mm(machine)
+    size = np.ptp(ranges, axis=1)
     ratio = size / float(size.max())
     scene: dict[str, Any] = {
         f"{axis}axis": _axis3(f"{axis.upper()}, mm") | {"range": ranges[k].tolist()} for k, axis in enumerate("xyz")
@@ -244,10 +232,10 @@ def _layout3(machine: Machine) -> dict[str, Any]:
     return figures.layout(scene=scene, dragmode="orbit", margin={"l": 0, "r": 0, "t": 40, "b": 0})
 
 
-def _scene(machine: Machine, sides: Mapping[str, ChainNodes], magnified: float) -> dict[str, Any]:
+def _scene(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float) -> dict[str, Any]:
     data = []
     for side, n in sides.items():
-        for moved, tint in ((0.0, "@muted"), (magnified, {"tool": "@c2", "work": "@c3"}[side])):
+        for moved, tint in ((0.0, "@muted"), (magnified, TINTS[side])):
             at = n.place_mm + 1e-3 * moved * n.moved_um
             name = f"{side} side, with its errors" if moved else "nominal"
             data.append({
@@ -261,7 +249,7 @@ def _scene(machine: Machine, sides: Mapping[str, ChainNodes], magnified: float) 
     return {"data": data, "layout": _layout3(machine)}
 
 
-def _names_at(n: ChainNodes, *, base: bool) -> list[str]:
+def _names_at(n: LinkPlaces, *, base: bool) -> list[str]:
     """Names of the links, joined for links at one place; with the base, which both sides have, if `base`."""
     out = [""] * len(n.names)
     first = 0 if base else 1
@@ -272,17 +260,11 @@ def _names_at(n: ChainNodes, *, base: bool) -> list[str]:
     return out
 
 
-def _volume(model: Model, state: Mapping[str, float], magnified: float) -> dict[str, Any]:
+def _volume(now: MachineState) -> dict[str, Any]:
     """Nominal and predicted places of the tool tip over the travels, joined by lines."""
-    machine = model.machine
-    grid = np.array(list(product(*(np.linspace(*a.travel_mm, PLACES) for a in machine.axes))))
-    at: dict[str, Any] = {k: np.full(len(grid), v) for k, v in state.items()}
-    at |= {a.name: grid[:, i] for i, a in enumerate(machine.axes)}
-    error = model.predict(at)
-    chain = machine.chain
-    place = np.einsum("ij,nj->ni", chain.tip, np.concatenate([np.ones((len(grid), 1)), grid], axis=1))
-    real = place + 1e-3 * magnified * error
-    size = np.linalg.norm(error, axis=1)
+    found = tip_errors(now.switched, now.state)
+    place, size = found.place_mm, found.size_um
+    real = place + 1e-3 * now.magnified * found.error_um
     joined = np.stack([place, real, np.full_like(place, np.nan)], axis=1).reshape(-1, 3)
     bar = {"title": {"text": "error, µm"}, "thickness": 14, "tickfont": {"color": "@ink"}}
     marker = {
@@ -300,4 +282,4 @@ def _volume(model: Model, state: Mapping[str, float], magnified: float) -> dict[
          "y": figures.numbers(real[:, 1]), "z": figures.numbers(real[:, 2]), "marker": marker,
          "text": [f"{v:.2f} µm" for v in size], "hoverinfo": "text"},
     ]  # fmt: skip
-    return {"data": data, "layout": _layout3(machine)}
+    return {"data": data, "layout": _layout3(now.model.machine)}

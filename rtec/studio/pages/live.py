@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from nicegui import ui
 
-from rtec.control.facts import axis_rows, footer, held, input_rows, troubles, um_text
+from rtec.control.facts import axis_rows, footer, input_rows, state_word, troubles, um_text
 from rtec.errors import RtecError
 from rtec.studio.parts import Area, Words, button, from_home, heading, table
 from rtec.studio.session import TabSession
@@ -15,8 +15,9 @@ from rtec.text import clean_lines
 if TYPE_CHECKING:
     from collections import deque
 
+    from rtec.report.daemon import Moment
     from rtec.studio.chart import Chart
-    from rtec.studio.live import LiveLink, Moment
+    from rtec.studio.live import LiveLink
 
 ORDERS: Final = {
     "enable": ("Enable", "Let the correction follow the model, from its present value, within its limits?"),
@@ -24,13 +25,15 @@ ORDERS: Final = {
     "fade": ("Fade", "Fade the correction to zero at its slew limit?"),
 }
 BARS: Final = (("requested", "requested_um"), ("applied", "applied_um"))
+DASHES: Final = ("solid", "dash", "dot")
+"""Of each four lines: colours alone are hard to distinguish."""
 EVERY: Final = 10
 """Tables are redrawn once for this many answers, bars at each."""
 
 
 def build(session: TabSession) -> None:
     """The page."""
-    heading("Live")
+    heading("Live", session, "live")
     if session.live is None:
         Words("p", "No daemon is attached. Start the studio with `rtec studio --attach CONFIG`; CONFIG is the run file "
                    "of the daemon.", "lead")  # fmt: skip
@@ -42,12 +45,8 @@ def state_of(found: dict[str, Any] | None, trouble: str) -> tuple[str, str, str]
     """The state in one word, its reason, and the CSS class of its colour."""
     if found is None:
         return "no answer", trouble, "off"
-    status = found["status"]
-    if why := held(status):
-        return "held", why, "held"
-    if status["mode"] == "hold":
-        return "held", "ordered by an operator", "held"
-    return status["mode"] or "starting", "", "on" if status["mode"] == "on" else "held"
+    word, why = state_word(found["status"])
+    return word, why, "on" if word == "on" else "held"
 
 
 @dataclass
@@ -180,7 +179,7 @@ class _LivePage:
                 "name": figures.text(n),
                 "x": [m.time_s / unit_s for m in kept],
                 "y": [_of(m, n, temperatures) for m in kept],
-                "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2},
+                "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2, "dash": DASHES[k // 4 % 3]},
                 "marker": {"size": 4},
             }
             for k, n in enumerate(names)

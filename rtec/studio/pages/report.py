@@ -1,49 +1,134 @@
-"""Report: the current step as one self-contained HTML file and as a PDF."""
+"""Report: what the pages show, as one self-contained HTML file and as a PDF."""
 
+from dataclasses import dataclass
 from functools import partial
+from typing import Final
 
 from nicegui import ui
 
 from rtec.studio import actions, tasks
-from rtec.studio.parts import Words, button, heading, lacking, waiting
-from rtec.studio.session import TabSession
-from rtec.studio.tasks import ReportFiles
+from rtec.studio.parts import Words, button, heading, label, lacking, waiting
+from rtec.studio.session import ModelStep, TabSession
+from rtec.studio.tasks import DrawnPlot, ReportFiles, ReportParts
+
+OF_THE_MODEL: Final = frozenset({"compare", "diagnose", "add"})
+"""Parts that need a comparison."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of the report: description in words, and why it is not there; empty where it is."""
+
+    words: str
+    missing: str = ""
 
 
 def build(session: TabSession) -> None:
     """The page."""
     heading("Report")
-    if lacking(session):
+    live = session.live is not None and session.live.status is not None
+    if not live and lacking(session):
         return
-    step = session.step
-    if step is None or step.compared is None:
+    step = None if session.lacks else session.step
+    asked = session.reported is None or bool(session.reported & OF_THE_MODEL)
+    if not session.lacks and asked and (step is None or step.compared is None):
         waiting(session, "The model is being compared with the measurements.", actions.compare)
         return
-    Words("p", step.compared.page.lead, "lead")
+    if step is not None and step.compared is not None:
+        Words("p", step.compared.page.lead, "lead")
+    parts = _parts(session, step)
+    chosen = chosen_parts(session, step)
     with ui.element("div").classes("card"):
         Words("h2", "What it holds")
-        Words("p", "The comparison of the model with the measurements, with all figures and tables.")
-        diagnosed = "The diagnosis." if step.diagnosed is not None else "No diagnosis: none was made of this model yet."
-        Words("p", diagnosed)
-        Words("p", "The history of the model, with the error before and after each change.")
+        for name, part in parts.items():
+            if part.missing:
+                Words("p", f"{part.words.partition(':')[0]}: {part.missing}", "small")
+                continue
+            box = ui.checkbox(part.words, value=name in chosen, on_change=partial(_choose, session, step, name))
+            label(box, part.words)
         Words("p", "Both files hold everything themselves: they load nothing from anywhere.", "small")
         with ui.element("div").classes("row"):
-            button("HTML", partial(_give, session, "html"), main=True)
-            button("PDF", partial(_give, session, "pdf"), main=True)
+            off = "" if chosen else "choose what it holds"
+            button("HTML", partial(_give, session, "html"), main=True, off=off)
+            button("PDF", partial(_give, session, "pdf"), main=True, off=off)
+
+
+def _parts(session: TabSession, step: ModelStep | None) -> dict[str, _Part]:
+    """The parts of a report, by name; those that are not there say why."""
+    no_model = session.lacks or "the model was not compared yet; the page Compare does it."
+    compared = step is not None and step.compared is not None
+    model = "" if compared else no_model
+    diagnosed = step is not None and step.diagnosed is not None
+    out = {
+        "compare": _Part("Comparison: the model and the measurements, with all figures and tables", model),
+        "diagnose": _Part("Diagnosis: which effect is missing, with the evidence",
+                          "" if diagnosed else model or "none was made of this model yet."),
+        "add": _Part("Add and watch: the error before and after each change of the model", model),
+        "explore": _Part("Explore: the machine in the state that is set there, its errors, and the part",
+                         "" if _explored(session, step) else "the page was not opened with this model yet."),
+    }  # fmt: skip
+    if session.live is not None:
+        found = session.live.status
+        words = "Live: the running daemon at the moment of the click, with the last minutes and hours"
+        out["live"] = _Part(words, "" if found is not None else f"the daemon does not answer: {session.live.trouble}.")
+    return out
+
+
+def _explored(session: TabSession, step: ModelStep | None) -> bool:
+    return step is not None and session.explored is not None and session.explored.model is step.model
+
+
+def chosen_parts(session: TabSession, step: ModelStep | None) -> frozenset[str]:
+    """Names of the parts that the report holds."""
+    there = {name for name, part in _parts(session, step).items() if not part.missing}
+    return frozenset(there if session.reported is None else there & session.reported)
+
+
+def _choose(session: TabSession, step: ModelStep | None, name: str, event: object) -> None:
+    chosen = chosen_parts(session, step)
+    session.reported = chosen | {name} if getattr(event, "value", False) else chosen - {name}
+    session.on_change()
 
 
 async def _give(session: TabSession, kind: str) -> None:
-    step = session.step
-    if step is None:
+    made = await _made(session)
+    if made is None:
         return
-    if session.report is None or session.report[0] is not step:
-        found = step.diagnosed.found if step.diagnosed is not None else None
-        made = await session.work("Report", tasks.report, step.model, session.files, session.model_path, found)
-        if made is None:
-            return
-        session.report = step, made
-    files: ReportFiles = session.report[1]
     if kind == "html":
-        ui.download.content(files.html, "report.html", "text/html")
+        ui.download.content(made.html, "report.html", "text/html")
     else:
-        ui.download.content(files.pdf, "report.pdf", "application/pdf")
+        ui.download.content(made.pdf, "report.pdf", "application/pdf")
+
+
+async def _made(session: TabSession) -> ReportFiles | None:
+    """The report; the one of before if nothing changed since."""
+    step = None if session.lacks else session.step
+    chosen = chosen_parts(session, step)
+    model = step is not None and bool(chosen & OF_THE_MODEL)
+    parts = ReportParts(
+        names=tuple(sorted(chosen)),
+        model=step.model if step is not None and model else None,
+        files=tuple(session.files) if model else (),
+        named=session.model_path if model else None,
+        drawn=_drawn(session, step) if "compare" in chosen else None,
+        diagnosed=step.diagnosed if step is not None and "diagnose" in chosen else None,
+        rank=session.rank,
+        added=step.added.page.sections[:1] if step is not None and step.added is not None and "add" in chosen else (),
+        state=session.explored if "explore" in chosen else None,
+        daemon=session.live.moment() if session.live is not None and "live" in chosen else None,
+    )
+    if session.report is not None and session.report[0].is_as(parts):
+        return session.report[1]
+    made = await session.work("Report", tasks.report, parts)
+    if made is not None:
+        session.report = parts, made
+    return made
+
+
+def _drawn(session: TabSession, step: ModelStep | None) -> DrawnPlot | None:
+    """The residual as the page Compare draws it, where the user chose how; None where it is drawn as at first."""
+    if step is None or step.compared is None or not any(session.view.get(k) for k in ("series", "over", "colour")):
+        return None
+    from rtec.studio.pages.compare import shown_plot
+
+    return shown_plot(session, step.compared.series)

@@ -1,5 +1,6 @@
 """The live page against a real daemon of the simulated machine. Oracle: the daemon's own status over its socket."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from rtec.control.client import Client, DaemonPlace
+from rtec.control.facts import um_text
 from rtec.control.places import of_config
 from tests.studio.studio_rig import Watched, live_config, needs_browser, running_daemon, running_studio, tab
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
 
@@ -66,6 +68,7 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
         page.get_by_role("button", name="Mark", exact=True).click()
         page.get_by_role("cell", name="new tool <b>4</b>", exact=True).wait_for()
         assert [e["text"] for e in _found(config)["events"] if e["what"] == "mark"] == ["new tool <b>4</b>"]
+        _reported(page, config)
         page.get_by_role("button", name="Fade", exact=True).click()
         page.get_by_text("Fade the correction to zero at its slew limit?").wait_for()
         page.get_by_role("alertdialog").get_by_role("button", name="Cancel").click()
@@ -87,6 +90,23 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
         page.get_by_role("alertdialog").get_by_role("button", name="Enable", exact=True).click()
         page.get_by_text("counts are stale").first.wait_for()
     assert watched.complaints == []
+
+
+def _reported(page: "Page", config: Path) -> None:
+    """A report of what is held has its state, each axis, and the mark. Oracle: the daemon's status."""
+    page.get_by_role("button", name="Report of the page Live").click()
+    with page.expect_download() as download:
+        page.get_by_role("button", name="HTML", exact=True).click()
+    html = Path(download.value.path()).read_text(encoding="utf-8")
+    found = _found(config)
+    assert f"Correction: held: ordered by an operator. {found['machine']}, model {found['model']}," in html
+    for axis, value in found["status"]["applied_um"].items():
+        assert re.search(rf">{axis}</td><td>[^<]*</td><td>{re.escape(um_text(value))}</td>", html)
+    assert "new tool &lt;b&gt;4&lt;/b&gt;" in html
+    assert html.count("data:image/png;base64,") >= 2
+    assert "<script" not in html
+    page.get_by_role("link", name="Live").click()
+    page.locator(".state.held").wait_for()
 
 
 def test_without_the_role_there_are_no_buttons(browser: "Browser", config: Path, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 import rtec
 from rtec.effects import effect_class
 from rtec.model import FittedEffect, Model, save_model
-from rtec.studio.geometry import cylinder
+from rtec.model.volume import cylinder
 from rtec.wording import number
 from tests.studio.studio_rig import MACHINE, RunningStudio, Watched, needs_browser, running_studio, simulated, tab
 
@@ -88,7 +88,7 @@ def test_temperature_and_spindle_speed_move_the_tip_and_the_part(watched: Watche
     model = rtec.load_model(Path(studio.folder / "model.toml"), studio.folder / MACHINE.name)
     state = {a.name: 0.5 * sum(a.travel_mm) for a in model.machine.axes} | {"T_x_nut": 20.0, "spindle_rpm": 0.0}
     said = set()
-    for key, name in (("T_x_nut", "T_x_nut, °C"), ("spindle_rpm", "spindle_rpm")):
+    for key, name in (("T_x_nut", "T_x_nut, °C"), ("spindle_rpm", "spindle speed, rpm")):
         slider = page.get_by_role("slider", name=name, exact=True)
         slider.locator("[tabindex='0']").focus()
         field = page.get_by_label(f"{name}, number").element_handle()

@@ -28,7 +28,7 @@ from tests.studio.studio_rig import (
 )
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
 
@@ -221,6 +221,41 @@ def test_the_report_holds_everything_itself(story: Watched) -> None:
     assert "<script" not in html
     assert kept["PDF"].startswith(b"%PDF-")
     assert kept["PDF"].count(b"/Type /Page ") + kept["PDF"].count(b"/Type /Page\n") > 1
+
+
+def test_the_report_is_of_what_is_on_screen(story: Watched) -> None:
+    """The residual as Compare draws it; the state that is set on Explore, with an effect off. Oracle: those pages."""
+    page = story.page
+    page.get_by_role("link", name="Compare").click()
+    page.get_by_label("Draw over").click()
+    page.get_by_role("option", name="T_x_nut, °C").click()
+    page.get_by_label("Colour by").click()
+    page.get_by_role("option", name="run", exact=True).click()
+    page.get_by_role("button", name="Report of the page Compare").click()
+    compared = _downloaded(page)
+    assert "The residual over T_x_nut, °C, coloured by run" in compared
+    assert "The state of the machine" not in compared
+    page.get_by_role("link", name="Explore").click()
+    headline = page.get_by_text("Here the tool tip is off by")
+    headline.wait_for()
+    assert page.get_by_label("X, mm, number").input_value() == "12.5"  # as it was left
+    off = page.get_by_role("checkbox", name="Backlash, reversal value: backlash(EXX, X)")
+    assert off.get_attribute("aria-checked") == "false"
+    shown = headline.inner_text()
+    page.get_by_role("button", name="Report of the page Explore").click()
+    explored = _downloaded(page)
+    assert f'<p class="lead">{shown}</p>' in explored
+    assert re.search(r">Backlash, reversal value: backlash\(EXX, X\)</td><td[^>]*>off</td>", explored)
+    assert re.search(r">X, mm</td><td>12.5</td>", explored)
+    assert "positioning of X" in explored
+    assert explored.count("data:image/png;base64,") == 3
+    assert "coloured by run" not in explored
+
+
+def _downloaded(page: "Page") -> str:
+    with page.expect_download() as download:
+        page.get_by_role("button", name="HTML", exact=True).click()
+    return Path(download.value.path()).read_text(encoding="utf-8")
 
 
 def test_two_tabs_of_a_browser_work_at_a_time(story: Watched, studio: RunningStudio) -> None:

@@ -1,38 +1,71 @@
-"""Geometry of the page Explore: place and displacement of every link of the chain, and the errors of a part.
-
-Symbols as in `rtec.machine.chain`: `δ` µm, `ε` µrad. An axis' errors are of the tool relative to the workpiece: they
-move a slide on the work side by their negative.
-"""
+"""Errors of a model over the travels of its machine: at evenly spaced places, and of a cylinder that it cuts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.errors import RtecError
-from rtec.machine import Machine
-from rtec.machine.chain import MM_URAD_TO_UM, UNITS
-from rtec.model import Model
+from rtec.errors import ModelError
+from rtec.model.at import state_at
+from rtec.model.model import Model
 
 Floats = NDArray[np.float64]
 RADIUS_MM, LENGTH_MM = 100.0, 200.0
 AROUND, ALONG = 360, 21
+PLACES = 5
 
 
 @dataclass(frozen=True)
-class ChainNodes:
-    """The links of one side, from the base on.
+class TipErrors:
+    """Errors at evenly spaced places of the travels.
 
     Attributes:
-        names: names of the links, "base" first.
-        place_mm: nominal origins, (n, 3).
-        moved_um: displacement by the errors, (n, 3).
+        place_mm: nominal places of the tool tip in machine coordinates, (n, 3).
+        error_um: actual minus nominal place, (n, 3).
     """
 
-    names: tuple[str, ...]
     place_mm: Floats
-    moved_um: Floats
+    error_um: Floats
+
+    @property
+    def size_um(self) -> Floats:
+        """Length of each error, (n,)."""
+        return np.asarray(np.linalg.norm(self.error_um, axis=1))
+
+
+def tip_errors(model: Model, state: Mapping[str, float], places: int = PLACES) -> TipErrors:
+    """Errors at the tool tip over all travels, in one state.
+
+    Args:
+        model: model of the machine.
+        state: directions, temperatures, spindle speed; names as for `Model.predict`. Positions are replaced.
+        places: number of places of each axis.
+
+    Raises:
+        ModelError: a channel that the model needs is missing.
+    """
+    machine = model.machine
+    grid = np.array(list(product(*(np.linspace(*a.travel_mm, places) for a in machine.axes))))
+    at = {k: np.full(len(grid), v) for k, v in state.items()}
+    at |= {a.name: grid[:, i] for i, a in enumerate(machine.axes)}
+    affine = np.concatenate([np.ones((len(grid), 1)), grid], axis=1)
+    return TipErrors(np.einsum("ij,nj->ni", machine.chain.tip, affine), model.predict(at))
+
+
+def component_errors(model: Model, state: Mapping[str, float]) -> dict[str, float]:
+    """Every component error in one state, µm or µrad, by name; those that no effect feeds are zero.
+
+    Args:
+        model: model of the machine.
+        state: positions, directions, temperatures, spindle speed; names as for `Model.predict`.
+
+    Raises:
+        ModelError: a channel that the model needs is missing.
+    """
+    values = model.components(state_at(model, dict(state), {})[0])[0]
+    return dict(zip(model.machine.components, values.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -52,35 +85,6 @@ class Cylinder:
     length_mm: float = 0.0
 
 
-def nodes(machine: Machine, components: Mapping[str, float], pose_mm: Mapping[str, float], side: str) -> ChainNodes:
-    """The links of one side of a machine.
-
-    Args:
-        machine: the machine.
-        components: µm or µrad by name; missing ones are zero.
-        pose_mm: position by axis.
-        side: "tool" or "work".
-    """
-    axes = {a.name: a for a in machine.axes}
-    names, work = (machine.work_chain, True) if side == "work" else (machine.tool_chain, False)
-    here, origins = np.zeros(3), [np.zeros(3)]
-    for name in names:
-        here = here + np.asarray((axes.get(name) or machine.links[name]).offset_mm)
-        if name in axes:
-            here = here + (-1.0 if work else 1.0) * pose_mm[name] * UNITS[axes[name].direction]
-        origins.append(here)
-    place = np.array(origins)
-    moved = np.zeros_like(place)
-    for k, name in enumerate(names, start=1):
-        tag, sign = (name, -1.0 if work else 1.0) if name in axes else (f"0{name}", 1.0)
-        shift, turn = (np.array([components.get(f"E{c}{tag}", 0.0) for c in letters]) for letters in ("XYZ", "ABC"))
-        moved[k:] += sign * (shift + MM_URAD_TO_UM * np.cross(turn, place[k:] - place[k]))
-        if name in axes:
-            square = np.array([components.get(f"E{c}0{name}", 0.0) for c in "ABC"])
-            moved[k:] += sign * MM_URAD_TO_UM * np.cross(square, pose_mm[name] * UNITS[axes[name].direction])
-    return ChainNodes(("base", *names), place, moved)
-
-
 def cylinder(model: Model, state: Mapping[str, float]) -> Cylinder:
     """Errors of a cylinder of 200 mm that this machine cuts uncorrected.
 
@@ -93,7 +97,7 @@ def cylinder(model: Model, state: Mapping[str, float]) -> Cylinder:
         state: temperatures, spindle speed, positions of the other axes; names as for `Model.predict`.
 
     Raises:
-        RtecError: the cylinder does not fit into the travels.
+        ModelError: the cylinder does not fit into the travels.
     """
     machine = model.machine
     return _turned(model, state) if any("spindle" in n for n in machine.work_chain) else _milled(model, state)
@@ -103,7 +107,7 @@ def _turned(model: Model, state: Mapping[str, float]) -> Cylinder:
     across = next((a for a in model.machine.axes if a.direction == "X"), None)
     along = next((a for a in model.machine.axes if a.direction == "Z"), None)
     if across is None or along is None or not across.travel_mm[0] <= RADIUS_MM <= across.travel_mm[1]:
-        raise RtecError("a radius of 100 mm is outside the travel of this machine")
+        raise ModelError("a radius of 100 mm is outside the travel of this machine")
     low, high = along.travel_mm
     start = min(max(state.get(along.name, low) + 0.5 * LENGTH_MM, low + LENGTH_MM), high)
     places = np.linspace(start, max(start - LENGTH_MM, low), ALONG)
@@ -116,11 +120,11 @@ def _turned(model: Model, state: Mapping[str, float]) -> Cylinder:
 
 def _milled(model: Model, state: Mapping[str, float]) -> Cylinder:
     if len(model.machine.axes) < 2:
-        raise RtecError("a cylinder needs two axes")
+        raise ModelError("a cylinder needs two axes")
     first, second = sorted(model.machine.axes, key=lambda a: a.direction)[:2]
     for axis in (first, second):
         if axis.travel_mm[1] - axis.travel_mm[0] < 2.0 * RADIUS_MM:
-            raise RtecError(f"a cylinder of 200 mm is larger than the travel of {axis.name}")
+            raise ModelError(f"a cylinder of 200 mm is larger than the travel of {axis.name}")
     turn = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
     cos, sin = np.cos(turn), np.sin(turn)
     middle = [0.5 * (a.travel_mm[0] + a.travel_mm[1]) for a in (first, second)]

@@ -1,6 +1,7 @@
-"""What the page Explore draws and computes. Oracles: the chain's exact lever arms; a scale error worked out by hand."""
+"""Errors over the travels. Oracles: `Model.predict` place by place; a scale error worked out by hand."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,26 +10,15 @@ import rtec
 from rtec.effects import effect_class
 from rtec.machine import Machine
 from rtec.model import FittedEffect, Model
-from rtec.studio.geometry import cylinder, nodes
-from tests.studio.studio_rig import MACHINE, ROOT
+from rtec.model.volume import component_errors, cylinder, tip_errors
 
-MILL = ROOT / "configs" / "machines" / "vertical-mill.toml"
+MACHINES = Path(__file__).parents[2] / "configs" / "machines"
+MACHINE, MILL = MACHINES / "turning-centre.toml", MACHINES / "vertical-mill.toml"
 
 
 @pytest.fixture(scope="module", params=[MACHINE, MILL], ids=["lathe", "mill"])
 def machine(request: pytest.FixtureRequest) -> Machine:
     return rtec.load_machine(request.param)
-
-
-def test_each_error_moves_the_tip_as_the_chain_says(machine: Machine) -> None:
-    """Tool side minus work side at the cutting point is J times the component, for errors of axes and of tool links."""
-    pose = {a.name: a.travel_mm[0] + 0.7 * (a.travel_mm[1] - a.travel_mm[0]) for a in machine.axes}
-    arms = machine.chain.jacobian(np.array([pose[a.name] for a in machine.axes]))
-    for k, component in enumerate(machine.components):
-        if not any(component.endswith(n) for n in machine.tool_chain):
-            continue
-        moved = nodes(machine, {component: 10.0}, pose, "tool").moved_um[-1]
-        assert np.allclose(moved, 10.0 * arms[:, k], atol=1e-9), component
 
 
 def _scaled(machine: Machine, axis: str, k: float) -> Model:
@@ -65,3 +55,16 @@ def test_without_effects_the_part_is_as_drawn(machine: Machine) -> None:
     model = replace(_scaled(machine, machine.axes[0].name, 1.0), effects=())
     found = cylinder(model, {a.name: 0.5 * sum(a.travel_mm) for a in machine.axes})
     assert (found.larger_um, found.form_um) == (0.0, 0.0)
+
+
+def test_errors_over_the_travels_are_those_of_each_place(machine: Machine) -> None:
+    """And the component errors of a state, through the chain, are its error at the tool tip."""
+    model = _scaled(machine, machine.axes[0].name, 50.0)
+    over = tip_errors(model, {}, places=3)
+    assert over.place_mm.shape == over.error_um.shape == (3 ** len(machine.axes), 3)
+    first = {a.name: a.travel_mm[0] for a in machine.axes}
+    assert np.array_equal(over.error_um[0], model.predict(first))
+    assert np.allclose(over.size_um, np.sqrt((over.error_um**2).sum(axis=1)))
+    parts = np.array(list(component_errors(model, first).values()))
+    pose = np.array([first[a.name] for a in machine.axes])
+    assert np.allclose(machine.chain.tip_error_um(pose, parts), over.error_um[0])

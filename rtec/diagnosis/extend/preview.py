@@ -1,0 +1,55 @@
+"""Shows what an expression would explain, before it is added: one linear least squares, its parameters as they are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtec.diagnosis.result import Picture
+from rtec.diagnosis.search.picture import of_effect
+from rtec.effects.expression import expression_from_text
+from rtec.errors import ModelError
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import clean
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What an expression explains.
+
+    Attributes:
+        picture: the residual and the explained part.
+        removed: share of the residual's mean square that it removes, of the readings of the picture.
+    """
+
+    picture: Picture
+    removed: float
+
+
+def preview(
+    model: Model, measurements: Sequence[Measurement], expression: str, params: Sequence[str], component: str
+) -> Preview:
+    """Fit an expression to the residual of a model.
+
+    Args:
+        model: the model, without the expression.
+        measurements: of its machine.
+        expression, params: as `rtec add --expr` and `--param` take them; a parameter with a range is at its start.
+        component: component error that it feeds.
+
+    Raises:
+        ModelError: the expression is invalid, or no reading shows it.
+    """
+    if not component:
+        raise ModelError("name the component error that the expression feeds, for example EXX")
+    effect = expression_from_text(expression, list(params), component, model.machine)
+    effect.check(model.machine, "expression")
+    theta = {p.name: p.start for p in effect.nonlinear(model.machine)}
+    judged = Judgement(model, clean(measurements, model.reference_degc))
+    shown = of_effect(judged.readings, judged.base.columns, judged.flexible, expression, effect, theta)
+    if shown is None or not shown.drivers:
+        raise ModelError(f"no reading shows {expression}; nothing that it depends on was moved")
+    before, after = float(np.mean(shown.residual**2)), float(np.mean((shown.residual - shown.part) ** 2))
+    return Preview(shown, 1.0 - after / max(before, 1e-30))

@@ -1,0 +1,111 @@
+"""Report of a running daemon: what is corrected and what is not, its inputs and events, and the last hours."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rtec.control.facts import axis_rows, footer, input_rows, state_word, troubles
+from rtec.report.page import Figure, Section, Table
+
+MINUTE_S, HOUR_S = 60.0, 3600.0
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One point of a daemon's past.
+
+    Attributes:
+        time_s: time since the daemon's first row.
+        applied_um: applied correction by axis; None where it is not known.
+        degc: temperatures, °C, by sensor; None where it is not read.
+    """
+
+    time_s: float
+    applied_um: Mapping[str, float | None]
+    degc: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class DaemonMoment:
+    """A daemon's status, and its past.
+
+    Attributes:
+        utc: date and time of the status.
+        status: the answer of the daemon (`docs/control.md`).
+        limits_um: by axis: correction above which it is flagged, and above which it is not followed.
+        minutes, hours: the last ten minutes and the last day.
+    """
+
+    utc: str
+    status: Mapping[str, Any]
+    limits_um: Mapping[str, tuple[float, float]]
+    minutes: Sequence[Moment]
+    hours: Sequence[Moment]
+
+
+def daemon_lead(m: DaemonMoment) -> str:
+    """The state of the correction, the machine, the model and the time, in words."""
+    word, why = state_word(m.status["status"])
+    reason = f": {why}" if why else ""
+    at = m.utc.replace("T", " ").removesuffix("Z")
+    return f"Correction: {word}{reason}. {m.status['machine']}, model {m.status['model']}, {at} UTC."
+
+
+def daemon_sections(m: DaemonMoment, figures: bool = True) -> list[Section]:
+    """Sections on a daemon: what is wrong, its axes, inputs and events, and its past.
+
+    Args:
+        m: the daemon.
+        figures: whether to draw.
+    """
+    found, out = m.status, []
+    wrong = troubles(found) + [f"why: {r}" for r in found["status"]["reasons"]]
+    if wrong:
+        out.append(Section("What is wrong", wrong))
+    head = ("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts")
+    out.append(Section("Correction of each axis", footer(found), Table(head, axis_rows(found)),
+                       _bars(m) if figures else None))  # fmt: skip
+    if figures:
+        out += [*_past("last 10 minutes", m.minutes, MINUTE_S, "minutes", "minutes.png"),
+                *_past("last 24 hours", m.hours, HOUR_S, "hours", "hours.png")]  # fmt: skip
+    rows = input_rows(found) if found["status"]["cycles"] else []
+    out.append(Section("Inputs and their ages", [], Table(("input", "value", "age"), rows)))
+    events = [[e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]] for e in reversed(found["events"])]
+    table = Table(("UTC", "what", "text", "by"), events, words=(0, 1, 2, 3)) if events else None
+    return [*out, Section("Events, newest first", [] if events else ["None yet."], table)]
+
+
+def _bars(m: DaemonMoment) -> Figure:
+    from rtec.report.daemon_figures import AxisBars, axis_bars
+
+    status, residual = m.status["status"], m.status["left"]["axes"]
+    rows = [
+        AxisBars(
+            axis,
+            status["requested_um"][axis],
+            status["applied_um"][axis],
+            residual.get(axis, {}).get("rms_um"),
+            *m.limits_um.get(axis, (0.0, 0.0)),
+        )
+        for axis in status["applied_um"]
+    ]
+    return Figure("axes.png", axis_bars(rows), "requested, applied and residual correction of each axis in its limits")
+
+
+def _past(what: str, kept: Sequence[Moment], unit_s: float, unit: str, name: str) -> list[Section]:
+    from rtec.report.daemon_figures import past
+
+    if len(kept) < 2:
+        return []
+    corrections, degc = ({n: [of(m).get(n) for m in kept] for n in of(kept[-1])} for of in (_applied, _temperatures))
+    png = past([m.time_s / unit_s for m in kept], unit, corrections, degc)
+    return [Section(f"Applied correction and temperatures, {what}", [], None,
+                    Figure(name, png, f"applied correction and temperatures over the {what}"))]  # fmt: skip
+
+
+def _applied(m: Moment) -> Mapping[str, float | None]:
+    return m.applied_um
+
+
+def _temperatures(m: Moment) -> Mapping[str, float | None]:
+    return m.degc

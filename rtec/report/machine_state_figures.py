@@ -1,0 +1,118 @@
+"""Figures of a model in one state, from arrays to PNG: the links, the errors over the travels, the component errors."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.machine import Machine
+from rtec.machine.links import LinkPlaces, Side, room_mm
+from rtec.model.volume import TipErrors
+from rtec.report.figures import GREY, OFF, ON, as_png, canvas
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
+
+Floats = NDArray[np.float64]
+SCALE = ("#3d7fd6", "#a87aa8", "#d9760b")
+"""From the smallest to the largest error."""
+ELEVATION_DEG, AZIMUTH_DEG = 19.0, -57.0
+HIGH_IN = 7.6
+LOOKS: dict[Side, tuple[str, str]] = {"tool": (OFF, "o"), "work": (ON, "s")}
+MOST_BARS = 16
+
+
+@as_png
+def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float) -> "MplFigure":
+    """The links of both sides, nominal and moved by their errors.
+
+    Args:
+        machine: the machine.
+        sides: its links, by side.
+        magnified: factor by which errors are drawn larger.
+    """
+    figure, ax = _room(machine)
+    for side, n in sides.items():
+        colour, marker = LOOKS[side]
+        ax.plot(*n.place_mm.T, color=GREY, linewidth=1.8, label="nominal" if side == "tool" else None)
+        at = n.place_mm + 1e-3 * magnified * n.moved_um
+        ax.plot(*at.T, color=colour, marker=marker, linewidth=4.0, label=f"{side} side, with its errors")
+        for name, place in _names(n, base=side == "work"):
+            ax.text(*(at[place]), f"  {name}", fontsize=12, ha="left" if side == "work" else "right")
+    ax.legend(loc="upper left", fontsize=13, frameon=False)
+    return figure
+
+
+@as_png
+def volume(machine: Machine, errors: TipErrors, magnified: float) -> "MplFigure":
+    """Nominal places of the tool tip, each joined with where it is.
+
+    Args:
+        machine: the machine.
+        errors: at each place.
+        magnified: factor by which errors are drawn larger.
+    """
+    from matplotlib.colors import LinearSegmentedColormap
+
+    figure, ax = _room(machine)
+    real = errors.place_mm + 1e-3 * magnified * errors.error_um
+    for nominal, at in zip(errors.place_mm, real, strict=True):
+        ax.plot(*np.stack([nominal, at]).T, color=GREY, linewidth=1.2)
+    scale = LinearSegmentedColormap.from_list("errors", SCALE)
+    dots = ax.scatter(*real.T, c=errors.size_um, cmap=scale, s=42, depthshade=False)
+    bar = figure.colorbar(dots, ax=ax, shrink=0.6, pad=0.1)
+    bar.set_label("error, µm")
+    return figure
+
+
+@as_png
+def bars(rows: Sequence[tuple[str, float, str]]) -> "MplFigure":
+    """Component errors as bars, the first at the top, each with its number.
+
+    Args:
+        rows: name, value and unit of each.
+    """
+    shown = list(rows[:MOST_BARS])[::-1]
+    figure = canvas(1.4 + 0.75 * len(shown))
+    ax = figure.subplots()
+    most = max((abs(v) for _, v, _ in shown), default=0.0) or 1.0
+    for place, (_, value, unit) in enumerate(shown):
+        ax.barh(place, value, 0.6, color=ON)
+        side = -1.0 if value < 0.0 else 1.0
+        ax.text(value + side * 0.02 * most, place, f"{value:+.2f} {unit}", va="center", fontsize=14,
+                ha="right" if value < 0.0 else "left")  # fmt: skip
+    ax.set_yticks(range(len(shown)), [name for name, _, _ in shown], fontsize=13)
+    ax.axvline(0.0, color="black", linewidth=1)
+    low, high = min(0.0, *(v for _, v, _ in shown)), max(0.0, *(v for _, v, _ in shown))
+    ax.set_xlim(low - (0.25 if low < 0.0 else 0.05) * most, high + (0.25 if high > 0.0 else 0.05) * most)
+    ax.set_xlabel(f"component error, {' or '.join(sorted({unit for _, _, unit in shown}))}")
+    ax.grid(visible=False, axis="y")
+    return figure
+
+
+def _room(machine: Machine) -> "tuple[MplFigure, Any]":
+    """A room in which the machine moves, with the same scale along all axes."""
+    from matplotlib.ticker import MaxNLocator
+
+    figure = canvas(HIGH_IN)
+    ax: Any = figure.add_subplot(projection="3d")
+    room = room_mm(machine)
+    for k, axis in enumerate("xyz"):
+        getattr(ax, f"set_{axis}lim")(*room[k])
+        getattr(ax, f"set_{axis}label")(f"{axis.upper()}, mm", labelpad=10)
+    ax.set_box_aspect(np.ptp(room, axis=1), zoom=0.84)
+    ax.view_init(ELEVATION_DEG, AZIMUTH_DEG)
+    ax.tick_params(labelsize=12)
+    for axis, wide in zip((ax.xaxis, ax.yaxis, ax.zaxis), np.ptp(room, axis=1), strict=True):
+        axis.set_major_locator(MaxNLocator(5 if wide > 0.5 * np.ptp(room, axis=1).max() else 2))
+    return figure, ax
+
+
+def _names(n: LinkPlaces, *, base: bool) -> list[tuple[str, int]]:
+    """Names of the links, those at one place together, with their index; the base, which both sides have, if `base`."""
+    out: dict[int, list[str]] = {}
+    for k in range(0 if base else 1, len(n.names)):
+        first = next((m for m in out if np.allclose(n.place_mm[m], n.place_mm[k])), k)
+        out.setdefault(first, []).append(n.names[k])
+    return [(", ".join(names), k) for k, names in out.items()]
