@@ -19,6 +19,7 @@ from rtec.characterise.result import (
 from rtec.characterise.screen import Screened
 from rtec.characterise.warnings import all_warnings
 from rtec.estimation.gram.fit import Estimate
+from rtec.estimation.gram.identifiable import label
 from rtec.estimation.gram.source import Source
 from rtec.estimation.gram.stream import Term
 from rtec.estimation.judge import Judgement, MeasurementMet
@@ -84,7 +85,8 @@ def _same_readings(
     if screened is None or choice is None:
         return []
     every = [c.term for c in screened.candidates]
-    return [(every[i], every[k], share) for i, k, share in choice.confounded if every[i] in fit.terms]
+    pairs = [(every[i], every[k], share) for i, k, share in choice.confounded if every[i] in fit.terms]
+    return [(mine, other, share) for mine, other, share in pairs if label(mine) != label(other)]
 
 
 def _measurement(source: Source, met: MeasurementMet) -> MeasurementFit:

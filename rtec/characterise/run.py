@@ -309,11 +309,16 @@ def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> lis
 
 
 def _is_forced(one: TermCandidate, machine: Machine) -> bool:
-    """Whether a named effect is fitted without a choice: geometry of one axis up to quadratic is; others are chosen."""
-    effect, other = one.term.effect, one.kind == "other" and one.direct and not one.term.theta
+    """Whether a named effect is fitted without a choice: geometry of one axis is; others are chosen.
+
+    Of a position up to the quadratic form, else the degrees that the effect has if none are given.
+    """
+    effect, degrees = one.term.effect, getattr(one.term.effect, "degrees", (0,))
+    if one.kind in ("position", "direction", "cyclic"):
+        return max(degrees) <= QUADRATIC
+    usual = "degrees" not in type(effect).model_fields or degrees == type(effect).model_fields["degrees"].default
     along = any({a.channel, a.direction_channel}.issuperset(effect.channels(machine)) for a in machine.axes)
-    geometry = (other and along) or one.kind in ("position", "direction", "cyclic")
-    return geometry and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
+    return one.kind == "other" and one.direct and not one.term.theta and along and usual
 
 
 def _is_named(wanted: AskedEffects | None) -> Callable[[Term], bool]:

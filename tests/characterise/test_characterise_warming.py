@@ -3,6 +3,8 @@
 Oracle: the law of the generator, which shares no code with the program: least squares with its columns.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from rtec.characterise import Characterisation, characterise
 from rtec.characterise.effect_list import read_wanted
 from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.readings import read
+from rtec.metrology.instruments.registry import make_instrument
 from tests.support.diagnosis_examples import laser, small_machine
 from tests.support.warming import Warming, warming
 
@@ -78,3 +81,17 @@ def test_an_expansion_beyond_all_materials_is_warned_of(truth: str, warned: bool
     """Oracle: handbooks, steel 12 and aluminium 23 µm/(m·K). A constant scale, where only expansions may be fitted."""
     made = characterise([laser([truth], 3)], wanted=read_wanted("axis_expansion", small_machine()))
     assert ("expands_much" in [w.code for w in made.warnings]) is warned
+
+
+def test_a_named_straightness_has_the_degrees_of_its_help() -> None:
+    """Oracle: the cubic that was put in, and `rtec effects straightness`: degrees 2 and 3 if none are given."""
+    laid, rng = laser([], 5), np.random.default_rng(5)
+    u = laid.channels["x"] / 100.0 - 1.0
+    away = 3.0 * (1.5 * u**2 - 0.5) - 1.0 * (2.5 * u**3 - 1.5 * u) + 0.3 * rng.standard_normal(len(u))
+    probe = make_instrument(
+        "straightness", {"direction": "Z", "probe_offset_mm": [0.0, 0.0, 0.0]}, "X", None, laid.machine, "test"
+    )
+    m = replace(laid, instrument=probe, readings={"reading_um": away})
+    made = characterise([m], wanted=read_wanted("straightness", small_machine()))
+    assert {c.name: c.value for c in made.coefficients} == pytest.approx({"c2": 3.0, "c3": -1.0}, abs=0.15)
+    assert "confounded" not in [w.code for w in made.warnings]

@@ -12,6 +12,7 @@ from rtec.model import Model
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support.ball_bar_dynamic import Test, moved_um, screw_machine
 from tests.support.ball_bar_examples import bar, bb_reading_um, recorded
+from tests.support.diagnosis_examples import effects, laser, small_machine
 
 CIRCLES = (
     Test(0.0, 150.0, "ccw"),
@@ -75,3 +76,13 @@ def test_improve_adds_each_and_no_other() -> None:
         assert any(
             f.effect.effect in cause or f"{f.effect.effect} {f.effect.component}" in cause for f in done.model.effects
         )
+
+
+@pytest.mark.parametrize("seed", [63, 65])
+def test_a_scale_and_an_expansion_are_no_surface_without_a_name(seed: int) -> None:
+    """Oracle: what was put in; position times temperature and position make a surface over both."""
+    known, k = "backlash,component=EXX,axis=X,B=3", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11,fixed_mm=100"
+    m = laser([known, k, "scale,component=EXX,axis=X,k=-20"], seed)
+    d = diagnose(Model(small_machine(), effects(known), name="known"), [m], draws=50)
+    assert d.unknown is None
+    assert {x.label for x in d.together} == {"scale(EXX, X)", "axis_expansion(EXX, X, T_bed)"}

@@ -166,6 +166,8 @@ class _Search:
         chain, along = self._beside_curve(p) if unknown is not None and pair is None else ([], None)
         if along is not None:
             unknown = self._of_shape(along)
+        elif chain:
+            unknown = None
         elif rich or (unknown is not None and pair is None):
             chain = self._chain(refitted, p)
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
@@ -372,6 +374,8 @@ class _Search:
     def _beside_curve(self, p: float) -> tuple[list[Refitted], Shaped | None]:
         """Effects beside a curve over one variable, and that curve, where both are likelier than the best shape.
 
+        No curve where an effect with a name is likelier than it.
+
         They must predict held-out runs as well as that shape, a surface over this and another variable.
         """
         top, best, curve = self._top_shape, list[Refitted](), None
@@ -384,16 +388,19 @@ class _Search:
             read = set(effect.channels(self.model.machine))
             return "time_s" not in read and len(read & places) <= 1  # a curve over one position completes any surface
 
+        bar = self._prior_odds + SURE
         for one in curves_of(
             top, self.readings, self.prepared.base, self.refits.fit, self.refits.current, self.refits.held_out_gain
         ):
-            chain = self.refits.beside_shape(one.columns, one.log_evidence, self._prior_odds + SURE, plain)
+            chain = self.refits.beside_shape(one.columns, one.log_evidence, bar, plain)
             if chain and (not best or chain[-1].log_evidence > best[-1].log_evidence):
                 best, curve = chain, one
-        if curve is None or best[-1].log_evidence <= top.log_evidence:
+        least = (1.0 + MORE) * (1.0 - top.drop)
+        if curve is None or best[-1].log_evidence <= top.log_evidence or 1.0 - best[-1].drop > least:
             return [], None
-        if 1.0 - best[-1].drop > (1.0 + MORE) * (1.0 - top.drop):
-            return [], None
+        alone = self.refits.instead_of_shape(best, curve.fit, curve.log_evidence, bar, plain)
+        if alone and alone[-1].log_evidence > best[-1].log_evidence and 1.0 - alone[-1].drop <= least:
+            return alone, None  # the curve has a name, too
         return self.refits.without_shape(best, curve.columns), curve
 
     def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:

@@ -489,6 +489,25 @@ class Refits:
                 tried.append(Refitted(number, theta, own, fit, evidence + gain, *judged, base.shape[1]))
         return self._grown([self._plainest(self._with_rivals(found, tried, []))], bar, may) if tried else []
 
+    def instead_of_shape(
+        self, members: Sequence[Refitted], shape: Fit, evidence: float, bar: float, may: Callable[[Effect], bool]
+    ) -> list[Refitted]:
+        """The same effects without the shape, and those that the readings then require beside them.
+
+        Args:
+            members: as of `beside_shape`.
+            shape: fit of the shape alone.
+            evidence, bar, may: as for `beside_shape`.
+        """
+        before, alone = (
+            [(shape.log_likelihood, evidence), *((t.fit.log_likelihood, t.log_evidence) for t in members)],
+            [],
+        )
+        for t, (likely, found) in zip(members, before, strict=False):
+            cost = (t.fit.log_likelihood - likely) - (t.log_evidence - found)
+            alone.append(replace(t, log_evidence=t.fit.log_likelihood - cost))
+        return self._grown(self._in_order(alone, -math.inf), bar, may)
+
     def without_shape(self, members: Sequence[Refitted], columns: Floats) -> list[Refitted]:
         """Effects beside a shape, (m, k), judged on held-out runs without it."""
         width = self.prepared.base.shape[1] + columns.shape[1]
