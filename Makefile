@@ -49,8 +49,16 @@ lint: $(STAMP)  ## format, lint, types, import layers
 
 check: lint test  ## all of it: lint, then the tests
 
-bench: $(STAMP)  ## speed, each figure beside what it is measured against
-	$(BIN)/python -m tests.bench
+BENCHES := boxlink cycle diagnose disturb fit logs quadrature startup wakeup
+ifneq (,$(filter bench,$(MAKECMDGOALS)))
+PARTS := $(filter $(BENCHES),$(MAKECMDGOALS))
+.PHONY: $(PARTS)
+$(PARTS): bench
+	@:
+endif
+
+bench: $(STAMP)  ## speed, each figure beside what it is measured against; bench disturb: this part only
+	$(BIN)/python -m tests.bench $(PARTS)
 
 soak: $(RUN)  ## half an hour against simulated hardware with faults by chance; MINUTES=, SEED=, SHARED=--shared
 	$(BIN)/rtec hil configs/hil.toml --soak $(MINUTES) --seed $(SEED) $(SHARED) --report out/soak

@@ -86,6 +86,22 @@ class Summary:
     notes: tuple[str, ...] = ()
     trouble: str = ""
 
+    @property
+    def read_by(self) -> str:
+        """Instrument and axis, in words; empty where they are not known yet."""
+        return " ".join([self.instrument, self.axis]).strip()
+
+    @property
+    def spans(self) -> tuple[str, ...]:
+        """Positions of each axis that moved, and the time, in words."""
+        moved = [f"{axis} {low:.0f} to {high:.0f} mm" for axis, (low, high) in self.span.items()]
+        return (*moved, *([f"{self.hours:.1f} h"] if self.rows else []))
+
+    @property
+    def temperatures(self) -> tuple[str, ...]:
+        """Lowest and highest value of each temperature, in words."""
+        return tuple(f"{sensor} {low:.1f} to {high:.1f} °C" for sensor, (low, high) in self.sensors.items())
+
 
 @dataclass(frozen=True)
 class Folder:

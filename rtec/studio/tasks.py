@@ -594,6 +594,7 @@ class ReportParts:
 
     Attributes:
         names: names of the pages whose content it shows.
+        listed: summaries of the measurements.
         model: the model; None: nothing of the model is shown but its state.
         files, named: tables of the measurements, and path of the model in commands.
         drawn: the plot of the page Compare, where the user chose how to draw it.
@@ -604,6 +605,7 @@ class ReportParts:
     """
 
     names: tuple[str, ...]
+    listed: tuple[Summary, ...] = ()
     model: "Model | None" = None
     files: tuple[Path, ...] = ()
     named: Path | None = None
@@ -616,7 +618,9 @@ class ReportParts:
 
     def is_as(self, other: "ReportParts") -> bool:
         """Whether a report of the one is a report of the other, too: the same objects, drawn in the same way."""
-        one, two = ((p.names, p.files, p.rank, p.drawn and (p.drawn.over, p.drawn.colour)) for p in (self, other))
+        one, two = (
+            (p.names, p.listed, p.files, p.rank, p.drawn and (p.drawn.over, p.drawn.colour)) for p in (self, other)
+        )
         series = [p.drawn.series if p.drawn else None for p in (self, other)]
         kept = all(getattr(self, k) is getattr(other, k) for k in ("model", "diagnosed", "state", "daemon"))
         return one == two and series[0] is series[1] and kept
@@ -633,9 +637,12 @@ def report(line: Reporter, parts: ReportParts) -> ReportFiles:
     numbers: list[tuple[str, str]] = []
     sections: list[Section] = []
     foot: list[str] = []
+    if parts.listed:
+        titles.append("Measurements")
+        sections.append(_listed_section(parts.listed))
     if parts.model is not None:
         names = tuple(Path(f.name) for f in ((parts.named or Path("model.toml")), *parts.files))
-        titles.append(f"{parts.model.name} on {', '.join(f.stem for f in names[1:])}")
+        titles.insert(0, f"{parts.model.name} on {', '.join(f.stem for f in names[1:])}")
         for page in _model_pages(line, parts, names):
             leads.append(page.lead)
             numbers += page.numbers
@@ -656,6 +663,18 @@ def report(line: Reporter, parts: ReportParts) -> ReportFiles:
     made = Page(titles[0] if titles else "Report", "\n".join(filter(None, leads)), numbers, sections,
                 list(dict.fromkeys(foot)))  # fmt: skip
     return ReportFiles(render(made).encode(), pdf_of(made))
+
+
+def _listed_section(listed: Sequence[Summary]) -> "Section":
+    """The measurements, as the page Measurements lists them."""
+    from rtec.report.page import Section, Table
+
+    rows = [
+        (s.file, s.read_by, str(s.runs), str(s.rows), "; ".join(s.spans), "; ".join((*s.temperatures, *s.notes)))
+        for s in listed
+    ]
+    head = ("file", "instrument", "runs", "readings", "span", "temperatures, remarks")
+    return Section("The chosen measurements", [], Table(head, rows, words=(0, 1, 4, 5)))
 
 
 def _model_pages(line: Reporter, parts: ReportParts, names: "tuple[Path, ...]") -> "Iterator[Page]":

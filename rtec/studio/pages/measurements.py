@@ -25,7 +25,7 @@ FEW = 2
 
 def build(session: TabSession) -> None:
     """The page."""
-    heading("Measurements")
+    heading("Measurements", session, "measurements")
     there = session.listing
     if not (there.machines or there.measurements or there.foreign):
         _empty(session)
@@ -210,13 +210,12 @@ def _cells(s: Summary, box: ui.checkbox) -> list[Element]:
     if s.trouble:
         box.disable()
         return [Words("td", s.trouble, "words trouble").props("colspan=5")]
-    spans = [f"{axis} {low:.0f} to {high:.0f} mm" for axis, (low, high) in s.span.items()]
-    warm = [f"{sensor} {low:.1f} to {high:.1f} °C" for sensor, (low, high) in s.sensors.items()]
+    warm = s.temperatures
     cells: list[Element] = [
-        Words("td", " ".join([s.instrument, s.axis]).strip() or "…", "words"),
+        Words("td", s.read_by or "…", "words"),
         Words("td", str(s.runs) if s.rows else ""),
         Words("td", str(s.rows) if s.rows else ""),
-        Words("td", "\n".join([*spans, *([f"{s.hours:.1f} h"] if s.rows else [])]), "words").style("white-space: pre"),
+        Words("td", "\n".join(s.spans), "words").style("white-space: pre"),
     ]
     with ui.element("td").classes("words") as remarks:
         if warm:

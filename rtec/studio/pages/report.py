@@ -7,6 +7,7 @@ from typing import Final
 from nicegui import ui
 
 from rtec.studio import actions, tasks
+from rtec.studio.folder import Summary
 from rtec.studio.parts import Words, button, heading, label, lacking, waiting
 from rtec.studio.session import ModelStep, TabSession
 from rtec.studio.tasks import DrawnPlot, ReportFiles, ReportParts
@@ -27,7 +28,7 @@ def build(session: TabSession) -> None:
     """The page."""
     heading("Report")
     live = session.live is not None and session.live.status is not None
-    if not live and lacking(session):
+    if not live and not _listed(session) and lacking(session):
         return
     step = None if session.lacks else session.step
     asked = session.reported is None or bool(session.reported & OF_THE_MODEL)
@@ -60,6 +61,8 @@ def _parts(session: TabSession, step: ModelStep | None) -> dict[str, _Part]:
     model = "" if compared else no_model
     diagnosed = step is not None and step.diagnosed is not None
     out = {
+        "measurements": _Part("Measurements: instrument, runs, readings, span and temperatures of each that is chosen",
+                              "" if _listed(session) else "none is chosen, or they were not read yet."),
         "compare": _Part("Comparison: the model and the measurements, with all figures and tables", model),
         "diagnose": _Part("Diagnosis: which effect is missing, with the evidence",
                           "" if diagnosed else model or "none was made of this model yet."),
@@ -72,6 +75,11 @@ def _parts(session: TabSession, step: ModelStep | None) -> dict[str, _Part]:
         words = "Live: the running daemon at the moment of the click, with the last minutes and hours"
         out["live"] = _Part(words, "" if found is not None else f"the daemon does not answer: {session.live.trouble}.")
     return out
+
+
+def _listed(session: TabSession) -> tuple[Summary, ...]:
+    """Summaries of the chosen measurements that are known."""
+    return tuple(session.summaries[name] for name in session.chosen if name in session.summaries)
 
 
 def _explored(session: TabSession, step: ModelStep | None) -> bool:
@@ -107,6 +115,7 @@ async def _made(session: TabSession) -> ReportFiles | None:
     model = step is not None and bool(chosen & OF_THE_MODEL)
     parts = ReportParts(
         names=tuple(sorted(chosen)),
+        listed=_listed(session) if "measurements" in chosen else (),
         model=step.model if step is not None and model else None,
         files=tuple(session.files) if model else (),
         named=session.model_path if model else None,

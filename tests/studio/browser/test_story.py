@@ -223,8 +223,8 @@ def test_the_report_holds_everything_itself(story: Watched) -> None:
     assert kept["PDF"].count(b"/Type /Page ") + kept["PDF"].count(b"/Type /Page\n") > 1
 
 
-def test_the_report_is_of_what_is_on_screen(story: Watched) -> None:
-    """The residual as Compare draws it; the state that is set on Explore, with an effect off. Oracle: those pages."""
+def test_the_report_is_of_what_is_on_screen(story: Watched, studio: RunningStudio) -> None:
+    """What Compare draws, what is set on Explore, what Measurements lists. Oracle: those pages, and the files."""
     page = story.page
     page.get_by_role("link", name="Compare").click()
     page.get_by_label("Draw over").click()
@@ -250,6 +250,16 @@ def test_the_report_is_of_what_is_on_screen(story: Watched) -> None:
     assert "positioning of X" in explored
     assert explored.count("data:image/png;base64,") == 3
     assert "coloured by run" not in explored
+
+    page.get_by_role("link", name="Measurements").click()
+    page.get_by_role("button", name="Report of the page Measurements").click()
+    listed = _downloaded(page)
+    machine = studio.folder / "turning-centre.toml"
+    for name in ("laser-a.csv", "laser-b.csv"):
+        m = rtec.load_measurement(studio.folder / name, machine)
+        cells = f'<td class="words">laser_linear X</td><td>{len(set(m.run))}</td><td>{len(m)}</td>'
+        assert f'<td class="words">{name}</td>{cells}' in listed
+    assert listed.count("data:image/png;base64,") == 0
 
 
 def _downloaded(page: "Page") -> str:
