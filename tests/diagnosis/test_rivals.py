@@ -178,18 +178,22 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
     assert not asked._disputes(winner, fitted(2, 55.0, 0.981))  # the same sensor
 
 
-def test_of_rivals_that_predict_alike_the_one_of_fewer_numbers_is_added() -> None:
+def test_of_sensors_that_predict_alike_the_effect_of_fewer_numbers_is_added() -> None:
     """Oracle: numbers and shares of the held-out error that were given."""
 
-    def finding(numbers: int, drop: float) -> Any:
-        return SimpleNamespace(parameters=dict.fromkeys("ktp"[:numbers]), heldout_drop=drop, partner=None)
+    def finding(numbers: int, drop: float, sensor: str) -> Any:
+        return SimpleNamespace(
+            parameters=dict.fromkeys("ktp"[:numbers]), heldout_drop=drop, partner=None, channels=("x", sensor)
+        )
 
-    late, plain, poor = finding(2, 0.982), finding(1, 0.981), finding(1, 0.97)
+    late, plain, poor = finding(2, 0.982, "T_air"), finding(1, 0.981, "T_bed"), finding(1, 0.97, "T_bed")
+    same, place = finding(1, 0.982, "T_air"), finding(1, 0.982, "d_x")
 
     def added(*group: Any) -> Any:
         found: Any = SimpleNamespace(findings=group, group=group, together=())
-        return _leaner(found)
+        return _leaner(found, small_machine())
 
     assert added(late, poor, plain) is plain
     assert added(late, poor) is late
     assert added(plain, late) is plain
+    assert added(late, same, place) is late

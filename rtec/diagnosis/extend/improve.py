@@ -422,7 +422,7 @@ def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
     """
     first = found.findings[0]
     if not any(d.kind == "one_pass" for d in found.doubts):
-        return _leaner(found)
+        return _leaner(found, machine)
     ways, places = {a.direction_channel for a in machine.axes}, {a.channel for a in machine.axes}
 
     def plain(f: Finding) -> bool:
@@ -435,15 +435,21 @@ def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
     return None if read & ways and read - ways else first
 
 
-def _leaner(found: Diagnosis) -> Finding:
-    """The first, or a rival of fewer numbers that predicts held-out runs as well: a lag feigns what a sensor lacks."""
-    first = found.findings[0]
-    if found.together or first.partner is not None:
+def _leaner(found: Diagnosis, machine: Machine) -> Finding:
+    """The first, or a rival by another sensor that has fewer numbers and predicts held-out runs as well.
+
+    A lag feigns what a sensor lacks.
+    """
+    first, sensors = found.findings[0], set(machine.sensor_names)
+    read = sensors & set(first.channels)
+    if found.together or first.partner is not None or not read:
         return first
     rivals = [
         f
         for f in found.group
-        if len(f.parameters) < len(first.parameters) and 1.0 - f.heldout_drop <= AS_GOOD * (1.0 - first.heldout_drop)
+        if len(f.parameters) < len(first.parameters)
+        and 1.0 - f.heldout_drop <= AS_GOOD * (1.0 - first.heldout_drop)
+        and sensors & set(f.channels) not in (set(), read)
     ]
     return max(rivals, key=lambda f: f.heldout_drop, default=first)
 
