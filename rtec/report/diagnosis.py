@@ -284,7 +284,7 @@ def _next(d: Diagnosis) -> list[str]:
             chosen = ",".join(rivals[:BRIEF])
             return [shell_command("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", chosen)]
         sure = not d.together  # together: forms of one effect, which is missing in any case
-    # A command that adds an effect searches its period or delay anew; improve begins with the one that was found.
+    # `rtec add` searches a period or a delay again; `rtec improve` begins with the one that was found.
     if sure and d.findings[0].partner is None and len(d.together) < 2 and not d.findings[0].theta:
         return [shell_command("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
     if d.verdict == "unknown_effect":

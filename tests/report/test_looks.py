@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +31,7 @@ from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.model import Model, save_model
 from rtec.report.compare import compare_page
-from rtec.report.diagnosis import diagnosis_page
+from rtec.report.diagnosis import _next, diagnosis_page
 from rtec.report.figures import as_png, canvas
 from rtec.report.page import Table
 from rtec.sim.campaign.campaign import simulate
@@ -182,6 +184,21 @@ def test_the_printed_command_runs_and_lowers_the_error(
     assert status([*shlex.split(command)[1:], "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["after"]["held_out"] < 0.5 * facts["before"]["held_out"]
+
+
+def test_a_searched_period_is_added_by_the_command_that_keeps_it() -> None:
+    """Oracle: `rtec add` takes no period; `rtec improve` begins with the diagnosis."""
+
+    def command(text: str, theta: dict[str, float]) -> str:
+        (fitted,) = effects(text)
+        first = SimpleNamespace(effect=fitted.effect, theta=theta, partner=None)
+        d: Any = SimpleNamespace(
+            files=(Path("m.toml"), Path("d.csv")), verdict="missing_effect", findings=(first,), together=()
+        )
+        return _next(d)[0]
+
+    assert command("cyclic_pole,component=EXX,axis=X,period=43.7,s=3,c=0", {"period": 43.7}).startswith("rtec improve ")
+    assert command("scale,component=EXX,axis=X,k=3", {}).startswith("rtec add ")
 
 
 def with_shape(table: Path, shape: Callable[[Floats], Floats]) -> None:
