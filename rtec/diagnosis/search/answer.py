@@ -484,8 +484,8 @@ class _Answer:
                 self.readings, self.s.prepared.base, self.s.prepared.whitener, shape.columns, shape.shape.variables
             )
         if findings and findings[0].accepted:
-            first = findings[0]
-            return picture.of_effect(
-                self.readings, self.s.prepared.base, self._noise(findings), first.label, first.effect, first.theta
-            )
+            first, mine = findings[0], self.s.refitted[0].number
+            beside = [t.columns for t in self.s.chain if t.number != mine]
+            base = np.concatenate([self.s.prepared.base, *beside], axis=1)
+            return picture.of_effect(self.readings, base, self._noise(findings), first.label, first.effect, first.theta)
         return None
