@@ -188,7 +188,7 @@ def _together(d: Diagnosis) -> str:
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
         either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals and few else []
         parts.append(" ".join([m.label, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
-    if not apart:
+    if not apart and len(parts) > 1:
         parts[-1] += (
             f", which together remove {percent(d.together[-1].heldout_drop)} of the held-out mean square error,"
         )

@@ -1,11 +1,14 @@
 """What is not asserted: rivals of each of several effects, runs that differ, an instrument that warms up."""
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 
 from rtec.bench.rig import campaign
 from rtec.bench.rig.machine import day
@@ -23,13 +26,35 @@ from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support.diagnosis_examples import TABLE, laser, small_machine
 
+Floats = NDArray[np.float64]
+Channels = Mapping[str, Floats]
+
 
 def _effect(name: str, **arguments: object):  # type: ignore[no-untyped-def]
     return effect_class(name, "test").model_validate({"effect": name, **arguments})
+
+
+def _day_line(
+    seed: int, error: Callable[[Channels], Floats], nut: Callable[[Channels], Floats] | None = None
+) -> tuple[Model, list[Measurement]]:
+    """Twelve runs in six hours, each with a load of its own; `error` is read by a laser along X, µm; `nut` is a
+    temperature other than that of the day.
+    """
+    rng = np.random.default_rng(seed)
+    plan = campaign.line(rng, runs=12, per_way=8, hours=6.0)
+    channels = dict(campaign.recorded(plan, day(rng, 5.0), rng))
+    known = {**channels, "hours": (plan.time_s - plan.time_s[0]) / 3600.0}
+    if nut is not None:
+        known["T_nut"] = nut(known)
+        channels["T_nut"] = known["T_nut"] + 0.02 * rng.standard_normal(len(known["T_nut"]))
+    read_um = {"EXX": error(known)}
+    trial = Trial("test", "runs", seed, "natural", (campaign.read(plan, read_um, rng, "white", channels),))
+    return model_of(trial), measurements_of(trial)
 
 
 def _short_line(seed: int, loss_um: float = 0.0, load_um: float = 0.0, zero_um: float = 0.0) -> Trial:
@@ -80,6 +105,55 @@ def test_an_instrument_that_warms_up_by_itself_is_no_effect() -> None:
     assert d.verdict == "undecided"
     assert "instrument_warm_up" in {x.kind for x in d.doubts}
     assert "warms up by itself" in d.sentence
+
+
+@pytest.mark.parametrize(("seed", "sensor"), [(3, "T_nut"), (3, "T_air"), (2, "T_air")])
+def test_a_load_and_a_temperature_that_change_from_run_to_run_are_named_together(seed: int, sensor: str) -> None:
+    """What either leaves looks like runs that differ by chance. Oracle: both were put in, and nothing else."""
+
+    def error(c: Channels) -> Floats:
+        return np.asarray(c["load_kg"] / 300.0 + (c[sensor] - c[sensor].mean()) / c[sensor].std())
+
+    model, day_of = _day_line(seed, error)
+    d = diagnose(model, day_of, draws=50)
+    assert d.verdict in ("missing_effect", "ambiguous")
+    first, second = sorted((m.fitted.effect for m in d.together), key=lambda effect: effect.effect)
+    assert first.effect == "load_deformation"
+    assert second.channels(model.machine) == (sensor,)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_load_of_its_own_in_each_run_is_no_part_of_a_slow_growth(seed: int) -> None:
+    """Loads in any order stretch the runs, and the zero grows and falls by 8 µm. Oracle: both were put in."""
+
+    def error(c: Channels) -> Floats:
+        slow = 4.0 * np.sin(2.0 * np.pi * c["hours"] / 7.0 + 0.4)
+        return np.asarray(0.01 * c["load_kg"] * (c["x"] - 300.0) / 300.0 + slow)
+
+    model, day_of = _day_line(seed, error)
+    d = diagnose(model, day_of, draws=50)
+    assert d.verdict in ("missing_effect", "ambiguous")
+    assert d.findings[0].effect.effect == "load_deformation"
+    assert [(doubt.kind, doubt.fatal) for doubt in d.doubts] == [("no_temperature", False)]
+
+
+@pytest.mark.parametrize(("seed", "load"), [(2, 1.5), (2, 2.5), (4, 2.5)])
+def test_an_instrument_that_warms_up_hides_no_load(seed: int, load: float) -> None:
+    """A load, and a zero that rises as a nut and an instrument both do. Oracle: only the load changes in any order."""
+
+    def error(c: Channels) -> Floats:
+        return np.asarray(load * c["load_kg"] / 300.0 + 1.1 * (c["T_nut"] - 20.0))
+
+    def warming(c: Channels) -> Floats:
+        return np.asarray(20.0 + 3.5 * (1.0 - np.exp(-c["hours"] / 1.2)))
+
+    model, day_of = _day_line(seed, error, nut=warming)
+    d = diagnose(model, day_of, draws=50)
+    assert d.verdict in ("missing_effect", "ambiguous")
+    assert d.findings[0].effect.effect == "load_deformation"
+    assert {m.fitted.effect.effect for m in d.together} <= {"load_deformation"}
+    assert [doubt.kind for doubt in d.doubts] == ["instrument_warm_up"]
+    assert "instrument that warms up by itself" in " ".join(d.notes)
 
 
 def test_what_depends_on_a_position_or_is_large_is_no_instrument() -> None:

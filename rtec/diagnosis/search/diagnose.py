@@ -116,6 +116,11 @@ def beats_drift(one: Judged, top: Shaped | None) -> bool:
     return top is not None and "time_s" in top.shape.variables and far_better(one, top)
 
 
+def _rich(members: Sequence[Refitted]) -> bool:
+    """Whether one of several effects has many numbers."""
+    return any(t.columns.shape[1] > PLAIN for t in members)
+
+
 class _Search:
     def __init__(
         self,
@@ -153,7 +158,7 @@ class _Search:
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
         again = self.refits.refitted(found, self.refits.weigh_without_drift())
-        refitted = led(again, self._prior_odds + SURE, prepared.base, readings)
+        refitted = self._apart_from_warm_up(led(again, self._prior_odds + SURE, prepared.base, readings))
         best = refitted[0] if refitted else None
         accepted = best is not None and self._accepts(best, p)
         named, share, unknown = self._adequate(best if accepted else None)
@@ -161,9 +166,11 @@ class _Search:
         half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
         if self._doubted:
             named, unknown = False, None
-        pair = None if self._doubted or (accepted and named and not half) else self._pair(refitted)
-        rich = pair is not None and any(t.columns.shape[1] > PLAIN for t in pair)
-        chain, along = self._beside_curve(p) if unknown is not None and pair is None else ([], None)
+        seek = not self._doubted and (half or not (accepted and named))
+        pair, chain = self._pair(refitted) if seek else (None, [])
+        rich, along = pair is not None and _rich(pair), None
+        if not chain and unknown is not None and pair is None:
+            chain, along = self._beside_curve(p)
         if along is not None:
             unknown = self._of_shape(along)
         elif chain:
@@ -174,6 +181,7 @@ class _Search:
             pair = None  # two simple effects explain as much as a pair with a complex one
         if accepted and named and pair is None and best is not None and not chain:
             chain = self._simple_ones(best, refitted)
+        chain = self._without_instrument(chain)
         if chain:
             refitted = [chain[0], *(t for t in refitted if t.number != chain[0].number)]
             accepted, named = True, True
@@ -230,8 +238,8 @@ class _Search:
         ):
             return False  # heat that no sensor recorded bends and stretches as much
         sure = best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
-        if sure and self._is_warm_up(best):
-            self.doubts = (*self.doubts, own_warm_up(self.candidates[best.number].effect))
+        if sure and self._warm_up(best) is not None:
+            self._doubt_warm_up(best, fatal=True)
             return False
         effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
         if sure and (found := dead_sensor(self.readings, effect, known) or self._between_files(best)) is not None:
@@ -246,12 +254,55 @@ class _Search:
             return None
         return only_between_files(self.readings, self.candidates[best.number].effect)
 
-    def _is_warm_up(self, best: Refitted) -> bool:
-        """Whether warm-up of an instrument explains the readings nearly as well."""
+    def _warm_up(self, best: Refitted) -> Floats | None:
+        """Curves of an instrument that warms up, (m, k), where they explain the readings nearly as well; or None."""
         width = self.prepared.base.shape[1]
         part = best.columns @ best.fit.values[width : width + best.columns.shape[1]]
         curves = warm_up_curves(self.readings, self.candidates[best.number].effect, part)
-        return bool(curves) and best.log_evidence - self.refits.of_curves(curves, 2) < SURE
+        if not curves:
+            return None
+        evidence, columns = self.refits.of_curves(curves, 2)
+        return columns if best.log_evidence - evidence < SURE else None
+
+    def _without_instrument(self, members: list[Refitted]) -> list[Refitted]:
+        """Effects that are named together, less those that an instrument that warms up explains nearly as well."""
+        start = before = self.refits.current.log_likelihood
+        evidence, out = 0.0, list[Refitted]()
+        for t in members:
+            cost = (t.fit.log_likelihood - before) - (t.log_evidence - evidence)
+            before, evidence = t.fit.log_likelihood, t.log_evidence
+            last, first = members[-1], self.prepared.base.shape[1] if t.before is None else t.before
+            part = t.columns @ last.fit.values[first : first + t.columns.shape[1]]
+            curves = warm_up_curves(self.readings, self.candidates[t.number].effect, part)
+            others = [o.columns for o in members if o is not t]
+            if curves:
+                whole = last.fit.log_likelihood - start - last.log_evidence
+                instrument = self.refits.of_curves(curves, 2, others)[0] - (whole - cost)
+            if curves and last.log_evidence - instrument < SURE:
+                self._doubt_warm_up(t)
+            else:
+                out.append(replace(t, log_evidence=t.fit.log_likelihood - cost))
+        return members if len(out) == len(members) else self.refits.in_order(out)
+
+    def _doubt_warm_up(self, t: Refitted, fatal: bool = False) -> None:
+        """Doubt that an instrument explains a candidate; once."""
+        doubt = replace(own_warm_up(self.candidates[t.number].effect), fatal=fatal)
+        self.doubts = (*(d for d in self.doubts if d.kind != doubt.kind), doubt)
+
+    def _apart_from_warm_up(self, refitted: list[Refitted]) -> list[Refitted]:
+        """The same; where the first may be an instrument that warms up, an effect first that is none."""
+        curves = self._warm_up(refitted[0]) if refitted and refitted[0].holds else None
+        if curves is None:
+            return refitted
+        bar = self._prior_odds + SURE
+        sure = [
+            t for t in refitted if t.holds and self.refits.beside_columns(t, curves) > bar and self._warm_up(t) is None
+        ]
+        if not sure:
+            return refitted
+        first = max(sure, key=lambda t: t.log_evidence)
+        self._doubt_warm_up(refitted[0])
+        return [first, *(t for t in refitted if t is not first)]
 
     @property
     def _doubted(self) -> bool:
@@ -311,29 +362,45 @@ class _Search:
         pairs = [t for t in self.refits.beside(best) if top is None or not far_better(top, t)]
         return max((t.log_evidence for t in pairs), default=-math.inf)
 
-    def _pair(self, refitted: Sequence[Refitted]) -> tuple[Refitted, Refitted] | None:
-        """Two effects that do not improve held-out runs alone, and together leave little residual.
+    def _pair(self, refitted: Sequence[Refitted]) -> tuple[tuple[Refitted, Refitted] | None, list[Refitted]]:
+        """Two effects that are significant only together, and leave little residual.
 
         An example is an immediate effect and the same effect, delayed, with the other sign: a part that bends while it
-        warms through. They are searched for only where an effect is significant but for the held-out runs, and only
-        where no shape without a name comes near.
+        warms through. Another is a load and a tilt that each change from run to run: what the one leaves looks like
+        runs that differ by chance. The evidence must exceed the prior odds of both. They are searched for only where no
+        shape without a name comes near.
+
+        Returns:
+            Both where neither improves held-out runs alone, or None; and else the effects that are missing together.
         """
-        if not self._many:
-            return None
-        width, bar = self.prepared.base.shape[1], self._prior_odds + OVERWHELMING
         best: tuple[Refitted, Refitted] | None = None
-        firsts = [t for t in sorted(refitted, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]
+        bar = self._prior_odds + OVERWHELMING
+        firsts = [t for t in sorted(refitted, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence > 0.0]
+        firsts = firsts if self._many else []
         for first, seconds in zip(firsts, each(self.refits.beside, firsts, len(self.readings)), strict=True):
             for second in seconds:
-                sure = second.holds and second.log_evidence - first.log_evidence > bar and second.drop > MOSTLY
+                rich = _rich((first, second))
+                sure = second.log_evidence - first.log_evidence > bar and second.log_evidence > bar + self._prior_odds
+                sure = sure and second.holds and second.drop > MOSTLY and (not rich or first.log_evidence > bar)
                 # An event at an instant helps by itself, or not at all.
                 sure = sure and not self.refits.at_instant(second.number)
                 if sure and (best is None or second.log_evidence > best[1].log_evidence):
-                    both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
-                    best = both, second
-        if best is None or (self._top_shape and self._top_shape.log_evidence + WITHIN > best[1].log_evidence):
-            return None
-        return best
+                    best = first, second
+        top = self._top_shape
+        if best is None or (top and (top.log_evidence + WITHIN > best[1].log_evidence or far_better(top, best[1]))):
+            return None, []
+        first, second = best
+        if first.holds and not _rich(best):
+            return None, self.refits.chain(best, bar, lambda effect: not self._of_time(effect))
+        apart = self._without_instrument([first, second])
+        if len(apart) < len(best):
+            return None, apart
+        width = self.prepared.base.shape[1]
+        both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
+        return (both, second), []
+
+    def _of_time(self, effect: Effect) -> bool:
+        return "time_s" in effect.channels(self.model.machine)
 
     def _chain(self, refitted: Sequence[Refitted], p: float) -> list[Refitted]:
         """Simple, significant effects that remove much of the residual, though a shape without a name removes more.
@@ -360,7 +427,7 @@ class _Search:
 
         sure = [t for t in refitted if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.drop, default=None)
-        chain = self.refits.chain(first, bar, plain) if first is not None else []
+        chain = self.refits.chain([first], bar, plain) if first is not None else []
         if not chain or chain[-1].drop < LITTLE or self._top_shape is None:
             return chain if chain and chain[-1].drop >= LITTLE else []
         # What reads anything beyond the shape must be as significant beside it: else it only follows the shape.
@@ -386,7 +453,8 @@ class _Search:
 
         def plain(effect: Effect) -> bool:
             read = set(effect.channels(self.model.machine))
-            return "time_s" not in read and len(read & places) <= 1  # a curve over one position completes any surface
+            # A curve over one position completes any surface.
+            return not self._of_time(effect) and len(read & places) <= 1
 
         bar = self._prior_odds + SURE
         for one in curves_of(
@@ -417,11 +485,11 @@ class _Search:
 
         sure = [t for t in refitted if t.log_evidence > bar and linear(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.log_evidence, default=None)
-        chain = self.refits.chain(first, bar, linear) if first is not None else []
+        chain = self.refits.chain([first], bar, linear) if first is not None else []
         if len(chain) < 2 or chain[-1].drop < best.drop or chain[-1].log_evidence <= best.log_evidence:
             return []
         # What the best needs beside it may replace it, and may have more numbers.
-        whole = self.refits.chain(best, bar, lambda _: True)
+        whole = self.refits.chain([best], bar, lambda _: True)
         chain = max(chain, whole, key=lambda c: c[-1].log_evidence)
         there = best.number in [t.number for t in chain]
         return [] if there and (best.drop > MAIN or not far_better(chain[-1], best)) else chain

@@ -163,17 +163,29 @@ class _Search:
         return np.asarray(self.projected.left - white @ solve(white, self.projected.left))
 
 
-def with_slopes(readings: Readings) -> Readings:
-    """The same readings, where each run has an unknown slope along each axis that moves within runs."""
-    series = []
-    for s in readings.series:
+QUICKEST = 3.0
+"""A drift changes by half-waves down to its memory over this."""
+
+
+def slow_slopes(noise: Whitener) -> Floats:
+    """Columns of a slope along each axis that moves within runs, which changes as slowly as the drift, (m, p).
+
+    Args:
+        noise: its drift of each series has a memory; a short one allows each run a slope of its own.
+    """
+    readings, out = noise.readings, []
+    for s, n in zip(noise.readings.series, noise.noises, strict=True):
         places = readings.poses_mm[s.source][s.row]
-        slopes = (
-            places - (np.stack([np.bincount(s.run, p) for p in places.T], axis=1) / np.bincount(s.run)[:, None])[s.run]
-        )
-        moving = np.sqrt(np.mean(slopes**2, axis=0)) > REAL["mm"]
-        series.append(replace(s, nuisance=np.concatenate([s.nuisance, slopes[:, moving]], axis=1)))
-    return replace(readings, series=tuple(series))
+        middle = np.stack([np.bincount(s.run, p) for p in places.T], axis=1) / np.bincount(s.run)[:, None]
+        slopes = places - middle[s.run]
+        slopes = slopes[:, np.sqrt(np.mean(slopes**2, axis=0)) > REAL["mm"]]
+        waves = min(int(s.run[-1]) + 1, math.ceil(QUICKEST * s.pace_s[0] / n.tau_s) + 1)
+        when = np.outer((s.time_s - s.time_s[0]) / s.pace_s[0], np.pi * np.arange(waves))
+        own = (np.cos(when)[:, :, None] * slopes[:, None, :]).reshape(len(s), -1)
+        whole = np.zeros((len(readings), own.shape[1]))
+        whole[s.part] = own / np.maximum(np.sqrt(np.mean(own**2, axis=0)), REAL["mm"])
+        out.append(whole)
+    return np.concatenate(out, axis=1)
 
 
 @dataclass(frozen=True)
@@ -447,18 +459,18 @@ class Refits:
                 near.add(number)
         return [i for i in found.order if i in near]
 
-    def chain(self, first: Refitted, bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
+    def chain(self, first: Sequence[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """Effects and those that the readings require beside them, one after the other; the evidence is that of all.
 
         Each further one must be as significant as a first one, and lower the error on held-out runs by `MORE`. Then
         each may be exchanged; what is exchanged may need others beside it.
 
         Args:
-            first: fitted beside the model.
+            first: fitted beside the model; each further one beside those before it.
             bar: least gain of evidence by each.
             may: which effects may be taken.
         """
-        out = self._grown([first], bar, may)
+        out = self._grown([*first], bar, may)
         for _ in range(MOST_TOGETHER):
             exchanged = self._exchanged(out, bar, may)
             if {t.number for t in exchanged} == {t.number for t in out}:
@@ -506,7 +518,7 @@ class Refits:
         for t, (likely, found) in zip(members, before, strict=False):
             cost = (t.fit.log_likelihood - likely) - (t.log_evidence - found)
             alone.append(replace(t, log_evidence=t.fit.log_likelihood - cost))
-        return self._grown(self._in_order(alone, -math.inf), bar, may)
+        return self._grown(self.in_order(alone), bar, may)
 
     def without_shape(self, members: Sequence[Refitted], columns: Floats) -> list[Refitted]:
         """Effects beside a shape, (m, k), judged on held-out runs without it."""
@@ -580,7 +592,7 @@ class Refits:
                 now = best[0].fit if best else without
         if [t.number for t in chosen] == [t.number for t in members]:
             return [replace(t, rivals=c.rivals) for t, c in zip(members, chosen, strict=True)]
-        ordered = self._in_order(chosen, bar)
+        ordered = self.in_order(chosen, bar)
         no_worse = ordered and 1.0 - ordered[-1].drop <= (1.0 + MORE) * (1.0 - members[-1].drop)
         return ordered if no_worse else members
 
@@ -596,7 +608,7 @@ class Refits:
 
         return min(near, key=plain)
 
-    def _in_order(self, members: Sequence[Refitted], bar: float) -> list[Refitted]:
+    def in_order(self, members: Sequence[Refitted], bar: float = -math.inf) -> list[Refitted]:
         """Effects one after the other, the one first that lowers the error on held-out runs most beside those before.
 
         Args:
@@ -676,11 +688,11 @@ class Refits:
         return self._evidence_beside(t, np.concatenate([self.prepared.base, columns], axis=1), self.readings)
 
     def beside_slopes(self, t: Refitted) -> float:
-        """Log evidence of a candidate where each run has a slope of its own along each axis that moves in it.
+        """Log evidence of a candidate where slopes along each axis that moves in a run change as slowly as the drift.
 
         Heat that no sensor recorded causes such slopes; an effect that only follows them may be such heat.
         """
-        return self._evidence_beside(t, self.prepared.base, with_slopes(self.readings))
+        return self.beside_columns(t, slow_slopes(t.fit.whitener))
 
     def beside_files(self, t: Refitted) -> float | None:
         """Log evidence of a candidate where each file has a number of its own for the same shape at constant channels.
@@ -726,22 +738,23 @@ class Refits:
         first = t.fit.values[self.prepared.base.shape[1]]
         return bool(abs(along[best]) > AGAIN * abs(first) * max(float(squares[best]), 1e-12))
 
-    def of_curves(self, curves: Sequence[Floats], searched: int) -> float:
-        """Log evidence of the best of several curves, (m, k) each, over the current model.
+    def of_curves(self, curves: Sequence[Floats], searched: int, beside: Sequence[Floats] = ()) -> tuple[float, Floats]:
+        """Log evidence of the best of several curves over the current model, and its columns.
 
         Args:
-            curves: one for each value of the searched parameters.
+            curves: columns for each value of the searched parameters, (m, k) each.
             searched: number of searched parameters.
+            beside: columns of effects beside them, which cost nothing, (m, k) each.
         """
-        base, best = self.prepared.base, None
+        base, best = np.concatenate([self.prepared.base, *beside], axis=1), (-math.inf, curves[0])
         for noise in (self.prepared.whitener, self._driftless):
             known = Projected.of(noise, base, self.readings.values)
             squares = [float(np.sum((orthonormal(known.take_out(noise(c))).T @ known.left) ** 2)) for c in curves]
             columns = curves[int(np.argmax(squares))]
             fit = self.fit(np.concatenate([base, columns], axis=1))
             gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + searched)
-            best = gain if best is None else max(best, gain)
-        return (best or 0.0) - self.current.log_likelihood
+            best = max(best, (gain - self.current.log_likelihood, columns), key=lambda b: b[0])
+        return best
 
     def _judged(self, number: int, whitener: Whitener, beside: Floats, columns: Floats) -> tuple[float, float]:
         """`held_out_gain`; the fall is zero for a wave that does not predict the held-out targets.
