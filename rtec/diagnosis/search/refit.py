@@ -474,7 +474,7 @@ class Refits:
         for _ in range(MOST_TOGETHER):
             exchanged = self._exchanged(out, bar, may)
             if {t.number for t in exchanged} == {t.number for t in out}:
-                break
+                return exchanged
             out = self._grown(exchanged, bar, may)
         return out
 
@@ -590,10 +590,12 @@ class Refits:
                 at = chosen.index(mine)
                 chosen[at : at + 1] = best
                 now = best[0].fit if best else without
-        if [t.number for t in chosen] == [t.number for t in members]:
-            return [replace(t, rivals=c.rivals) for t, c in zip(members, chosen, strict=True)]
-        ordered = self.in_order(chosen, bar)
+        ordered, same = self.in_order(chosen, bar), [t.number for t in chosen] == [t.number for t in members]
         no_worse = ordered and 1.0 - ordered[-1].drop <= (1.0 + MORE) * (1.0 - members[-1].drop)
+        if no_worse and len(ordered) == len(chosen):
+            return ordered
+        if same:
+            return [replace(t, rivals=c.rivals) for t, c in zip(members, chosen, strict=True)]
         return ordered if no_worse else members
 
     def _plainest(self, tried: Sequence[Refitted]) -> Refitted:
