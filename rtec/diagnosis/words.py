@@ -102,7 +102,8 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
     """
     if odd and d.verdict == "undecided":
         return replace(d, sentence=" ".join([*odd, *_until_then(d)]))
-    verdict = " ".join([*foreign, f"If so, {_sentence(d, smallest)}"]) if foreign else _sentence(d, smallest)
+    verdict = _sentence(d, smallest) + _beside_instrument(d)
+    verdict = " ".join([*foreign, f"If so, {verdict}"]) if foreign else verdict
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
 
 
@@ -198,6 +199,12 @@ def _together(d: Diagnosis) -> str:
         return f"{named_so} {are} missing"
     where = " and ".join(map(named, d.unknown.channels))
     return f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}{_by_heat(d)}"
+
+
+def _beside_instrument(d: Diagnosis) -> str:
+    """The sentences on an instrument that may be warming up, after what is named beside it."""
+    named_beside = [b.words.rstrip(".") for b in d.doubts if b.kind == "instrument_warm_up" and not b.fatal]
+    return "".join(f". {text}" for text in named_beside) if accepted(d.findings) else ""
 
 
 def _by_heat(d: Diagnosis) -> str:

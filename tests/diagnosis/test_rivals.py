@@ -153,7 +153,7 @@ def test_an_instrument_that_warms_up_hides_no_load(seed: int, load: float) -> No
     assert d.findings[0].effect.effect == "load_deformation"
     assert {m.fitted.effect.effect for m in d.together} <= {"load_deformation"}
     assert [doubt.kind for doubt in d.doubts] == ["instrument_warm_up"]
-    assert "instrument that warms up by itself" in " ".join(d.notes)
+    assert "instrument that warms up by itself" in d.sentence
 
 
 def test_what_depends_on_a_position_or_is_large_is_no_instrument() -> None:
