@@ -179,9 +179,9 @@ class _Search:
             chain = self._chain(refitted, p)
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
+        chain = self._without_instrument(chain)
         if accepted and named and pair is None and best is not None and not chain:
             chain = self._simple_ones(best, refitted)
-        chain = self._without_instrument(chain)
         if chain:
             refitted = [chain[0], *(t for t in refitted if t.number != chain[0].number)]
             accepted, named = True, True
@@ -265,24 +265,36 @@ class _Search:
         return columns if best.log_evidence - evidence < SURE else None
 
     def _without_instrument(self, members: list[Refitted]) -> list[Refitted]:
-        """Effects that are named together, less those that an instrument that warms up explains nearly as well."""
+        """Effects that are named together, less those that an instrument that warms up explains nearly as well.
+
+        None where the others are not significant beside the instrument: they only corrected what it explains. Where one
+        of them is a shift that no instrument explains, no instrument is in doubt.
+        """
         start = before = self.refits.current.log_likelihood
-        evidence, out = 0.0, list[Refitted]()
+        evidence, out, costs = 0.0, list[Refitted](), 0.0
+        instruments, curves = list[Refitted](), list[Sequence[Floats]]()
         for t in members:
             cost = (t.fit.log_likelihood - before) - (t.log_evidence - evidence)
             before, evidence = t.fit.log_likelihood, t.log_evidence
             last, first = members[-1], self.prepared.base.shape[1] if t.before is None else t.before
             part = t.columns @ last.fit.values[first : first + t.columns.shape[1]]
-            curves = warm_up_curves(self.readings, self.candidates[t.number].effect, part)
+            mine = warm_up_curves(self.readings, self.candidates[t.number].effect, part)
             others = [o.columns for o in members if o is not t]
-            if curves:
-                whole = last.fit.log_likelihood - start - last.log_evidence
-                instrument = self.refits.of_curves(curves, 2, others)[0] - (whole - cost)
-            if curves and last.log_evidence - instrument < SURE:
-                self._doubt_warm_up(t)
+            whole = last.fit.log_likelihood - start - last.log_evidence
+            curves += [mine] if mine else []
+            if mine and last.log_evidence - self.refits.of_curves(mine, 2, others)[0] + (whole - cost) < SURE:
+                instruments.append(t)
             else:
                 out.append(replace(t, log_evidence=t.fit.log_likelihood - cost))
-        return members if len(out) == len(members) else self.refits.in_order(out)
+                costs += cost
+        if not instruments:
+            self.doubts = tuple(d for d in self.doubts if not curves or d.kind != "instrument_warm_up")
+            return members
+        beside = self.refits.of_curves(curves[-1], 2, [t.columns for t in out])[0] - costs
+        if beside - self.refits.of_curves(curves[-1], 2)[0] < len(out) * (self._prior_odds + SURE):
+            return []
+        self._doubt_warm_up(instruments[0])
+        return self.refits.in_order(out)
 
     def _doubt_warm_up(self, t: Refitted, fatal: bool = False) -> None:
         """Doubt that an instrument explains a candidate; once."""
@@ -490,9 +502,13 @@ class _Search:
             return []
         # What the best needs beside it may replace it, and may have more numbers.
         whole = self.refits.chain([best], bar, lambda _: True)
-        chain = max(chain, whole, key=lambda c: c[-1].log_evidence)
+        known = self.doubts
+        chain = self._without_instrument(max(chain, whole, key=lambda c: c[-1].log_evidence))
+        worse = not chain or chain[-1].drop < best.drop or chain[-1].log_evidence <= best.log_evidence
         there = best.number in [t.number for t in chain]
-        return [] if there and (best.drop > MAIN or not far_better(chain[-1], best)) else chain
+        if worse or (there and (best.drop > MAIN or not far_better(chain[-1], best))):
+            self.doubts, chain = known, []
+        return chain
 
     def _shapes(self, best: Refitted | None) -> list[Shaped]:
         """The best shapes without a name, searched under the best estimate of the noise and under one without drift."""
