@@ -16,6 +16,24 @@ SIDES: tuple[Side, ...] = ("tool", "work")
 
 
 @dataclass(frozen=True)
+class Camera:
+    """From where a machine is seen. Units: the longest side of the room in which it moves is `LONGEST`.
+
+    Attributes:
+        eye: place of the camera from the room's middle.
+        centre: what it looks at.
+        up: direction that is upwards in the picture.
+    """
+
+    eye: tuple[float, float, float] = (0.98, -1.49, 0.6)
+    centre: tuple[float, float, float] = (0.0, 0.0, -0.1)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+
+LONGEST = 1.2
+
+
+@dataclass(frozen=True)
 class MachineState:
     """A model in one state.
 
@@ -24,12 +42,15 @@ class MachineState:
         state: positions by axis, mm; `dir_X`; temperatures, °C; spindle speed: names as for `Model.predict`.
         off: indices of the effects that are switched off.
         magnified: factor by which errors are drawn larger.
+        machine_from, travel_from: cameras of the figures of the machine, and of the error over its travel.
     """
 
     model: Model
     state: Mapping[str, float]
     off: frozenset[int] = field(default_factory=frozenset)
     magnified: float = 1e4
+    machine_from: Camera = Camera()
+    travel_from: Camera = Camera()
 
     @property
     def switched(self) -> Model:
@@ -124,8 +145,8 @@ def _figures(s: MachineState, errors: Mapping[str, float]) -> tuple[Figure, Figu
 
     machine, components = s.model.machine, component_errors(s.switched, s.state)
     sides = {side: link_places(machine, components, s.pose_mm, side) for side in SIDES}
-    chain = drawn.links(machine, sides, s.magnified)
-    over = drawn.volume(machine, tip_errors(s.switched, s.state), s.magnified)
+    chain = drawn.links(machine, sides, s.magnified, s.machine_from)
+    over = drawn.volume(machine, tip_errors(s.switched, s.state), s.magnified, s.travel_from)
     bars = None
     if errors:
         names = {c: f"{c}\n{component_words(c, machine)}" for c in errors}

@@ -47,6 +47,7 @@ async def diagnose(session: TabSession) -> None:
     if view is not None and session.step is step:
         session.keep(diagnosed=view)
         session.rank = 1 if 1 in view.curves else 0
+        session.unzoom("diagnose")
         session.on_change()
 
 

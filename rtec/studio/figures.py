@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Figure = dict[str, Any]
-Box = tuple[tuple[float, float], tuple[float, float]]
 
 MOST, EVENLY = 7_000, 3_000
 """Largest number of drawn readings; of these, the number that is drawn at random, to show their density."""
 ACROSS, UP = 96, 40
 """Number of cells of a plot, each a little larger than a marker; every cell with readings has at least one drawn."""
+WHOLE: Final[Mapping[str, tuple[float, float]]] = {}
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
 SCALE: Final = ((0.0, "#3d7fd6"), (0.5, "#a87aa8"), (1.0, "#d9760b"))
 """From the least to the most; seen on light and on dark paper."""
@@ -41,7 +41,7 @@ FEW_BARS = 3
 DIGITS = 5
 
 
-def drawn(series: "SeriesView", over: Floats, up: Floats, box: Box | None = None) -> Ints:
+def drawn(series: "SeriesView", over: Floats, up: Floats, zoom: Mapping[str, tuple[float, float]] = WHOLE) -> Ints:
     """Rows of the drawn readings, rising, (k,): in each small cell of the plot the one with the largest residual.
 
     This keeps the outline of the cloud and every isolated reading. Further ones are chosen at random, the same in every
@@ -50,11 +50,14 @@ def drawn(series: "SeriesView", over: Floats, up: Floats, box: Box | None = None
     Args:
         series: the reading column.
         over, up: horizontal and vertical values, (n,).
-        box: visible ends of both; None for all.
+        zoom: visible ends of the horizontal axis, "x", and of the vertical one, "y", where they are not whole.
     """
     inside = np.isfinite(over) & np.isfinite(up)
-    for values, ends in zip((over, up), box or (), strict=False):
-        inside &= (values >= min(ends)) & (values <= max(ends))
+    if len(series) <= MOST:
+        return np.flatnonzero(inside)
+    for axis, values in (("x", over), ("y", up)):
+        low, high = sorted(zoom.get(axis, (-np.inf, np.inf)))
+        inside &= (values >= low) & (values <= high)
     rows = np.flatnonzero(inside)
     if len(rows) <= MOST:
         return rows
@@ -119,6 +122,7 @@ def axis(title: str, **more: Any) -> Figure:
         "zerolinecolor": "@muted",
         "linecolor": "@muted",
         "automargin": True,
+        "uirevision": title,  # the zoom of one quantity is none of another
     }
     return base | more
 
@@ -288,17 +292,9 @@ def _ends(values: Floats) -> Ints:
 
 def residual_map(s: "SeriesView", across: str, up: str) -> Figure:
     """Mean residual in each cell of two channels."""
-    x, y, left = s.channels[across], s.channels[up], s.residuals
-    cuts = [np.linspace(float(v.min()), float(v.max()), _cells(v) + 1) for v in (x, y)]
-    code = [np.clip(np.searchsorted(c, v, side="right") - 1, 0, len(c) - 2) for c, v in zip(cuts, (x, y), strict=True)]
-    width = len(cuts[0]) - 1
-    cell = code[1] * width + code[0]
-    size = width * (len(cuts[1]) - 1)
-    count = np.bincount(cell, minlength=size)
-    with np.errstate(invalid="ignore"):
-        mean = np.where(count >= LEAST, np.bincount(cell, weights=left, minlength=size) / np.maximum(count, 1), np.nan)
+    cuts, mean = cells_of(s.channels[across], s.channels[up], s.residuals)
     most = max(float(np.nanmax(np.abs(mean), initial=0.0)), s.floor, 1e-9)
-    grid = [numbers(row) for row in mean.reshape(-1, width)]
+    grid = [numbers(row) for row in mean]
     middles = [0.5 * (c[1:] + c[:-1]) for c in cuts]
     data = [
         {
@@ -315,6 +311,27 @@ def residual_map(s: "SeriesView", across: str, up: str) -> Figure:
         }
     ]
     return {"data": data, "layout": layout(xaxis=axis(across), yaxis=axis(up), dragmode="zoom")}
+
+
+def cells_of(x: Floats, y: Floats, left: Floats) -> tuple[tuple[Floats, Floats], Floats]:
+    """Mean residual in each cell of two channels.
+
+    Args:
+        x, y: the channels, (n,).
+        left: the residual, (n,).
+
+    Returns:
+        Edges of the cells along both channels, (k + 1,) and (m + 1,), and the means, (m, k); NaN where there are few
+        readings.
+    """
+    cuts = [np.linspace(float(v.min()), float(v.max()), _cells(v) + 1) for v in (x, y)]
+    code = [np.clip(np.searchsorted(c, v, side="right") - 1, 0, len(c) - 2) for c, v in zip(cuts, (x, y), strict=True)]
+    width, height = (len(c) - 1 for c in cuts)
+    cell, size = code[1] * width + code[0], width * height
+    count = np.bincount(cell, minlength=size)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(count >= LEAST, np.bincount(cell, weights=left, minlength=size) / np.maximum(count, 1), np.nan)
+    return (cuts[0], cuts[1]), mean.reshape(height, width)
 
 
 def _cells(v: Floats) -> int:

@@ -98,9 +98,9 @@ def draft(session: TabSession, key: str, label: str, value: str = "", placeholde
     """
 
     def keep(event: events.ValueChangeEventArguments[str | None]) -> None:
-        session.view[key] = event.value or ""
+        session.drafts[key] = event.value or ""
 
-    made = ui.input(label, value=session.view.get(key, value), placeholder=placeholder, on_change=keep)
+    made = ui.input(label, value=session.drafts.get(key, value), placeholder=placeholder, on_change=keep)
     return at_fault(session, key, made.props("outlined"))
 
 

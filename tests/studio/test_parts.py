@@ -103,7 +103,7 @@ def test_zoomed_in_every_reading_there_is_drawn() -> None:
     """Oracle: the readings in that box."""
     many = _many(100_000)
     x, left = many.channels["X, mm"], many.residuals
-    rows = figures.drawn(many, x, left, ((100.0, 120.0), (2.0, -1.0)))
+    rows = figures.drawn(many, x, left, {"x": (100.0, 120.0), "y": (2.0, -1.0)})
     assert list(rows) == list(np.flatnonzero((x >= 100.0) & (x <= 120.0) & (left >= -1.0) & (left <= 2.0)))
 
 

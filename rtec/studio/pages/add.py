@@ -11,7 +11,7 @@ from rtec.errors import RtecError
 from rtec.model.history import steps_of
 from rtec.report.history import stairs
 from rtec.studio import actions, figures
-from rtec.studio.chart import Chart
+from rtec.studio.chart import Chart, zoomable
 from rtec.studio.pages.compare import worst_first
 from rtec.studio.pages.expression import own_expression
 from rtec.studio.parts import (
@@ -29,7 +29,7 @@ from rtec.studio.parts import (
     waiting,
 )
 from rtec.studio.session import ModelStep, TabSession
-from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
+from rtec.studio.tasks import CompareView, RefitQuestion, ShownResidual, StepQuestion
 from rtec.wording import percent, probability, two_numbers
 
 MOST_RESIDUALS = 3
@@ -81,16 +81,13 @@ def _toolbar(session: TabSession) -> None:
 
 
 def _move(session: TabSession, by: int) -> None:
-    session.at += by
-    session.improved, session.rank = "", 1
-    session.view["moved"] = "yes"
-    session.view["came_from"] = str(session.at - by)
+    session.move(by)
     session.on_change()
 
 
 async def _refit(session: TabSession) -> None:
     if await actions.add(session, None, "improve"):
-        session.view["moved"] = "yes"
+        session.moving = True
         session.on_change()
 
 
@@ -152,41 +149,55 @@ def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list
 def _residuals(session: TabSession, view: CompareView) -> None:
     """The residuals of the worst reading columns, animated from those of the step before."""
     before = _before(session)
+    moved, session.moving = session.moving and before is not None, False
     source = before if before is not None else view
-    moved = session.view.pop("moved", "") == "yes"
-    for k in [k for k in worst_first(source.series) if k < len(view.series)][:MOST_RESIDUALS]:
-        _residual(view, source, k, moved=moved and before is not None)
+    for k in _shown(view, source):
+        _residual(session, view, source, k, moved=moved)
 
 
-def _residual(view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
+def _shown(view: CompareView, source: CompareView) -> list[int]:
+    """Indices of the reading columns that are drawn."""
+    return [k for k in worst_first(source.series) if k < len(view.series)][:MOST_RESIDUALS]
+
+
+def shown_residuals(session: TabSession, view: CompareView) -> tuple[ShownResidual, ...]:
+    """The residuals that the page draws, with their scale."""
+    source = _before(session) or view
+    return tuple(ShownResidual(view.series[k], _most(source, k)) for k in _shown(view, source))
+
+
+def _residual(session: TabSession, view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
     """The residual of a reading column, on the scale of that of `source`, from which it moves if `moved`."""
     s, began = view.series[k], source.series[k]
     over = next(iter(s.channels))
     with ui.element("div").classes("card"):
         Words("h2", f"The residual of {s.name}")
         after = _fixed(figures.residual_over(s, over), source, k)
+        name, shows = f"add {s.name}", "The residual over position"
         if not moved or len(began) != len(s):
-            Chart(after, "The residual over position").classes("tall").props["data-moved"] = "yes"
+            zoomable(session, name, after, shows).classes("tall").props["data-moved"] = "yes"
             return
         rows = figures.drawn(began, began.channels[over], began.residuals)
-        chart = Chart(
-            _fixed(figures.residual_over(began, over, "", rows), source, k), "The residual over position"
-        ).classes("tall")
+        before = _fixed(figures.residual_over(began, over, "", rows), source, k)
+        chart = zoomable(session, name, before, shows).classes("tall")
         target = _fixed(figures.residual_over(s, over, "", rows), source, k)
         ui.timer(0.6, lambda: chart.morph(target), once=True)
 
 
 def _before(session: TabSession) -> CompareView | None:
-    came = session.view.pop("came_from", "")
-    at = int(came) if came else session.at - 1
+    at = session.at - 1 if session.came_from is None else session.came_from
     return session.steps[at].compared if 0 <= at < len(session.steps) else None
 
 
 def _fixed(figure: dict[str, Any], scale: CompareView, k: int) -> dict[str, Any]:
     """The figure on the scale of the larger residual, so that the fall is visible."""
-    most = 1.08 * float(np.abs(scale.series[k].residuals).max())
+    most = _most(scale, k)
     figure["layout"]["yaxis"]["range"] = [-most, most]
     return figure
+
+
+def _most(scale: CompareView, k: int) -> float:
+    return 1.08 * float(np.abs(scale.series[k].residuals).max())
 
 
 def commands(session: TabSession, out: str) -> list[str]:

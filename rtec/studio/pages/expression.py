@@ -28,7 +28,7 @@ FIELDS: Final = {"--expr": "own", "--component": "feeds", "--param": "params"}
 def own_expression(session: TabSession) -> None:
     """The form."""
     form = _Form(session)
-    begun = session.view.get("own") or any(session.trouble_at(place) for place in ("own_add", *FIELDS.values()))
+    begun = session.drafts.get("own") or any(session.trouble_at(place) for place in ("own_add", *FIELDS.values()))
     with ui.element("details").classes("card").props("open" if begun else ""):
         Words("summary", "An effect of your own")
         form.build()
@@ -41,7 +41,7 @@ class _Form:
         self._ranges: dict[str, tuple[float, float, float]] = {}
 
     def build(self) -> None:
-        s, view = self._session, self._session.view
+        s, drafts = self._session, self._session.drafts
         step = s.step
         if step is None:
             return
@@ -52,17 +52,17 @@ class _Form:
         )
         with ui.element("div").classes("row start"):
             self._text = (
-                ui.input("Expression, µm or µrad", placeholder="A*sin(2*pi*x/p + phi)", value=view.get("own", ""))
+                ui.input("Expression, µm or µrad", placeholder="A*sin(2*pi*x/p + phi)", value=drafts.get("own", ""))
                 .props("outlined debounce=400")
                 .style("flex: 2; min-width: 20rem")
             )
             self._component = (
-                ui.select(seen, label="Feeds component", value=view.get("feeds") or (seen[0] if seen else None))
+                ui.select(seen, label="Feeds component", value=drafts.get("feeds") or (seen[0] if seen else None))
                 .props("outlined")
                 .style("min-width: 12rem")
             )
             self._params = (
-                ui.input("Parameters with a range", placeholder="p=37:3..200", value=view.get("params", ""))
+                ui.input("Parameters with a range", placeholder="p=37:3..200", value=drafts.get("params", ""))
                 .props("outlined debounce=400")
                 .style("flex: 1; min-width: 14rem")
             )
@@ -83,7 +83,7 @@ class _Form:
         for key, field in (("own", self._text), ("feeds", self._component), ("params", self._params)):
             at_fault(s, key, field)
             field.on_value_change(self._changed)
-        if view.get("own"):
+        if drafts.get("own"):
             soon(self._changed)
 
     def _request(self, theta: dict[str, float] | None = None) -> EffectRequest:
@@ -102,7 +102,7 @@ class _Form:
         return EffectRequest("", self._component.value or "", (), (self._text.value or "").strip(), tuple(params))
 
     async def _changed(self) -> None:
-        self._session.view |= {
+        self._session.drafts |= {
             "own": self._text.value or "",
             "feeds": self._component.value or "",
             "params": self._params.value or "",
@@ -169,5 +169,6 @@ class _Form:
             self._text.error = "Write an expression, for example A*sin(2*pi*x/p + phi)"
             return
         if await actions.add(self._session, request, "own_add", FIELDS):
-            self._session.view |= {"own": "", "params": "", "moved": "yes"}
+            self._session.drafts |= {"own": "", "params": ""}
+            self._session.moving = True
             self._session.on_change()

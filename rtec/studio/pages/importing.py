@@ -12,7 +12,7 @@ from nicegui import events, ui
 
 from rtec.errors import RtecError
 from rtec.studio import figures, tasks
-from rtec.studio.chart import Chart
+from rtec.studio.chart import zoomable
 from rtec.studio.parts import (
     Area,
     Named,
@@ -53,7 +53,9 @@ def build(session: TabSession) -> None:
     file = session.foreign
     if file is not None and file.looked is not None and file.machine != session.machine:
         file = session.foreign = ForeignFile(file.name)
-    heading(f"Import {clean(file.name)}" if file is not None else "Import")
+    heading(
+        f"Import {clean(file.name)}" if file is not None else "Import", session if file is not None else None, "import"
+    )
     if file is None:
         Words("p", "Choose a table of another program on the page Measurements.")
         button("Measurements", partial(session.go, "measurements"), main=True)
@@ -78,6 +80,7 @@ async def _look(session: TabSession, other: ForeignFile | None = None, beside: s
         return
     if session.foreign is not None and session.foreign.name == file.name:
         session.foreign = replace(file, looked=found, machine=machine)
+        session.unzoom("import")
     session.on_change()  # another file that was opened meanwhile is looked at now
 
 
@@ -98,7 +101,7 @@ def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
     if file.answers or any(_is_asked(q) for q in p.questions):
         _questions(session, file, view)
     _columns(session, file, view)
-    _preview(view)
+    _preview(session, view)
     _finish(session, file, view)
 
 
@@ -130,7 +133,7 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
     async def answer(key: str, field: Any) -> None:
         given = str(field.value or "").strip()
         if given and given != file.answers.get(key):
-            session.view[f"typed {file.name} {key}"] = given
+            session.drafts[f"typed {file.name} {key}"] = given
             value = as_toml(given) if key.startswith("setup.") else given
             answered = replace(file, answers={**file.answers, key: value})
             await _look(session, answered, f"answer {key}")
@@ -147,7 +150,7 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
                         field.on_value_change(partial(answer, q.key, field))
                     else:
                         wrong = bool(session.trouble_at(f"answer {q.key}"))
-                        typed = session.view.get(f"typed {file.name} {q.key}", "") if wrong else q.default
+                        typed = session.drafts.get(f"typed {file.name} {q.key}", "") if wrong else q.default
                         field = ui.input(value=typed or "", placeholder=q.hint)
                         for event in ("keydown.enter", "blur"):
                             field.on(event, partial(answer, q.key, field))
@@ -254,7 +257,7 @@ def edit(view: ImportView, name: str, changed: Mapping[str, Any]) -> dict[str, d
     return columns
 
 
-def _preview(view: ImportView) -> None:
+def _preview(session: TabSession, view: ImportView) -> None:
     if view.trouble:
         with ui.element("div").classes("card bad").props('role="alert"'):
             Words("h2", "Like that it cannot be imported")
@@ -263,7 +266,7 @@ def _preview(view: ImportView) -> None:
         return
     with ui.element("div").classes("card"):
         Words("h2", f"What it becomes: {counted(view.rows, 'reading')}")
-        Chart(_figure(view), "The readings as they would be imported")
+        zoomable(session, "import", _figure(view), "The readings as they would be imported")
         for note in view.notes:
             Words("p", note, "small")
 

@@ -168,7 +168,7 @@ class _LivePage:
 
     def _spark(self, title: str, kept: "deque[Moment]", *, temperatures: bool) -> None:
         from rtec.studio import figures
-        from rtec.studio.chart import Chart
+        from rtec.studio.chart import zoomable
 
         names = self._names(temperatures)
         unit_s, unit = (60.0, "minutes") if kept is self._link.minutes else (3600.0, "hours")
@@ -194,7 +194,8 @@ class _LivePage:
         )
         with ui.element("div").classes("card"):
             Words("h2", title)
-            chart = Chart({"data": data, "layout": layout}, title).classes("low")
+            name = f"live {unit} {'degc' if temperatures else 'applied'}"
+            chart = zoomable(self._session, name, {"data": data, "layout": layout}, title).classes("low")
         self._sparks.append(_Spark(chart, kept, unit_s, temperatures, kept[-1].time_s if kept else 0.0))
 
     def _names(self, temperatures: bool) -> list[str]:

@@ -348,7 +348,7 @@ class _ModelCard:
         verdict = await s.work("Fitting", tasks.fit, s.machine_path, s.files, out, effects, beside="fit", fields=fields)
         if verdict is not None:
             s.look()
-            s.view.pop("fit_out", None)
+            s.drafts.pop("fit_out", None)
             s.choose(model=out.name)
             s.on_change()
 
