@@ -9,28 +9,11 @@ from rtec.machine.chain import component_unit
 from rtec.machine.links import Side, component_words, link_places
 from rtec.model import Model
 from rtec.model.volume import component_errors, cylinder, tip_errors
+from rtec.report.machine_state_figures import Camera
 from rtec.report.page import Figure, Section, Table
 from rtec.wording import number, significant
 
 SIDES: tuple[Side, ...] = ("tool", "work")
-
-
-@dataclass(frozen=True)
-class Camera:
-    """From where a machine is seen. Units: the longest side of the room in which it moves is `LONGEST`.
-
-    Attributes:
-        eye: place of the camera from the room's middle.
-        centre: what it looks at.
-        up: direction that is upwards in the picture.
-    """
-
-    eye: tuple[float, float, float] = (0.98, -1.49, 0.6)
-    centre: tuple[float, float, float] = (0.0, 0.0, -0.1)
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-
-
-LONGEST = 1.2
 
 
 @dataclass(frozen=True)
@@ -49,8 +32,8 @@ class MachineState:
     state: Mapping[str, float]
     off: frozenset[int] = field(default_factory=frozenset)
     magnified: float = 1e4
-    machine_from: Camera = Camera()
-    travel_from: Camera = Camera()
+    machine_from: Camera = field(default_factory=Camera)
+    travel_from: Camera = field(default_factory=Camera)
 
     @property
     def switched(self) -> Model:

@@ -1,6 +1,7 @@
 """Figures of a model in one state, from arrays to PNG: the links, the errors over the travels, the component errors."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +15,6 @@ from rtec.report.figures import GREY, OFF, ON, as_png, canvas
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
-    from rtec.report.machine_state import Camera
-
 Floats = NDArray[np.float64]
 SCALE = ("#3d7fd6", "#a87aa8", "#d9760b")
 """From the smallest to the largest error."""
@@ -23,10 +22,26 @@ HIGH_IN, HALF_VIEW_RAD = 7.6, np.pi / 8
 """Height of a figure in 3D, and half of the angle that its height shows: that of Plotly."""
 LOOKS: dict[Side, tuple[str, str]] = {"tool": (OFF, "o"), "work": (ON, "s")}
 MOST_BARS = 16
+LONGEST = 1.2
+
+
+@dataclass(frozen=True)
+class Camera:
+    """From where a machine is seen. Units: the longest side of the room in which it moves is `LONGEST`.
+
+    Attributes:
+        eye: place of the camera from the room's middle.
+        centre: what it looks at.
+        up: direction that is upwards in the picture.
+    """
+
+    eye: tuple[float, float, float] = (0.98, -1.49, 0.6)
+    centre: tuple[float, float, float] = (0.0, 0.0, -0.1)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
 @as_png
-def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, camera: "Camera") -> "MplFigure":
+def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, camera: Camera) -> "MplFigure":
     """The links of both sides, nominal and moved by their errors.
 
     Args:
@@ -48,7 +63,7 @@ def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, 
 
 
 @as_png
-def volume(machine: Machine, errors: TipErrors, magnified: float, camera: "Camera") -> "MplFigure":
+def volume(machine: Machine, errors: TipErrors, magnified: float, camera: Camera) -> "MplFigure":
     """Nominal places of the tool tip, each joined with where it is.
 
     Args:
@@ -95,15 +110,13 @@ def bars(rows: Sequence[tuple[str, float, str]]) -> "MplFigure":
     return figure
 
 
-def projection(room_mm: Floats, camera: "Camera") -> Floats:
+def projection(room_mm: Floats, camera: Camera) -> Floats:
     """Matrix from places in mm to the picture, (4, 4): in perspective, its half height is the tangent of half the view.
 
     Args:
         room_mm: ends of the room along X, Y and Z, (3, 2).
         camera: from where it is seen.
     """
-    from rtec.report.machine_state import LONGEST
-
     scale = LONGEST / float(np.ptp(room_mm, axis=1).max())
     eye, centre, up = (np.array(v) for v in (camera.eye, camera.centre, camera.up))
     back = (eye - centre) / np.linalg.norm(eye - centre)
@@ -119,7 +132,7 @@ def projection(room_mm: Floats, camera: "Camera") -> Floats:
     return np.stack([across, up, np.array([0.0, 0.0, 0.0, -1.0]), distance])
 
 
-def _room(machine: Machine, camera: "Camera") -> "tuple[MplFigure, Any]":
+def _room(machine: Machine, camera: Camera) -> "tuple[MplFigure, Any]":
     """A room in which the machine moves, with the same scale along all axes, seen by a camera."""
     from matplotlib.ticker import MaxNLocator
 

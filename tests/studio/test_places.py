@@ -9,7 +9,7 @@ import pytest
 
 from rtec.diagnosis.result import Verdict
 from rtec.studio.pages.diagnose import verdict
-from rtec.studio.session import blamed
+from rtec.studio.parts.session import blamed
 from rtec.wording import odds
 
 
@@ -52,13 +52,14 @@ def test_a_message_belongs_to_the_field_of_its_option() -> None:
 
 def test_the_first_page_is_there_without_what_only_others_need() -> None:
     """Oracle: the modules of a fresh interpreter; the compiled loop alone takes a third of the start."""
-    script = "import rtec.studio.app, rtec.studio.pages.measurements, rtec.studio.pages.live, sys; print(*sys.modules)"
+    needed = "rtec.studio.server.app, rtec.studio.pages.measurements, rtec.studio.pages.live"
+    script = f"import {needed}, sys; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
     assert {"numpy", "numba", "scipy", "matplotlib", "pyarrow", "rtec.loop", "rtec.effects"} & set(loaded) == set()
 
 
 def test_the_server_answers_before_it_has_loaded_what_makes_the_pages() -> None:
     """Oracle: the modules of a fresh interpreter; these take longer than all before the first answer."""
-    script = "import rtec.studio.front, sys; print(*sys.modules)"
+    script = "import rtec.studio.server.front, sys; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
     assert {"nicegui", "fastapi", "pydantic", "socketio", "jinja2", "numpy"} & set(loaded) == set()

@@ -9,11 +9,13 @@ from nicegui import events, ui
 from numpy.typing import NDArray
 
 from rtec.report.figures import Zoom
-from rtec.studio import actions, figures
-from rtec.studio.chart import Chart, zoomable
-from rtec.studio.parts import Area, Words, button, heading, lacking, section, table, tiles, waiting
-from rtec.studio.session import TabSession
-from rtec.studio.tasks import CompareView, DrawnPlot, OutlierView, SeriesView, marked_words
+from rtec.report.thinning import MOST, drawn
+from rtec.studio.parts import actions, figures
+from rtec.studio.parts.chart import Chart, zoomable
+from rtec.studio.parts.controls import Area, Words, button, heading, lacking, section, table, tiles, waiting
+from rtec.studio.parts.session import TabSession
+from rtec.tasks.model import CompareView, OutlierView, SeriesView
+from rtec.tasks.report import DrawnPlot, marked_words
 from rtec.text import clean
 from rtec.wording import counted, decimals, number, sizes
 
@@ -159,7 +161,7 @@ class _Plots:
                 "time",
                 "The residual over time, with the temperatures",
                 lambda rows: figures.over_time(self._series, rows),
-                lambda zoom: figures.drawn(s, s.channels[time], s.residuals, zoom),
+                lambda zoom: drawn(s.residuals, s.channels[time], s.residuals, zoom),
             )
             places = [t for t in s.channels if t.endswith(", mm")]
             if len(places) > 1:
@@ -172,9 +174,9 @@ class _Plots:
                     "polar",
                     "Deviation from the circle, magnified",
                     lambda rows: figures.polar(s, angle, rows),
-                    lambda _: figures.drawn(s, angle, s.residuals),
+                    lambda _: drawn(s.residuals, angle, s.residuals),
                 )
-        if len(s) > figures.MOST:
+        if len(s) > MOST:
             Words(
                 "p",
                 f"Of {len(s)} readings so many are drawn that none stands apart unseen; zoom in to see more of those "
@@ -201,7 +203,7 @@ class _Plots:
     def _over_channel(self, what: str) -> Callable[[Zoom], Ints]:
         s = self._series
         up = s.residuals if what == "residual" else s.measured
-        return lambda zoom: figures.drawn(s, s.channels[self._over], up, zoom)
+        return lambda zoom: drawn(s.residuals, s.channels[self._over], up, zoom)
 
     def _choice(self, key: str, label: str, options: dict[str, str], value: str, *, rebuild: bool = False) -> None:
         def choose(event: events.ValueChangeEventArguments[str]) -> None:
@@ -240,7 +242,7 @@ class _Plots:
         self._plots[key] = _Plot(chart, make, rows)
         chart.on("reading", lambda e: self._point(int(e.args)))
         chart.on("brush", lambda e: self._brush([int(v) for v in e.args]))
-        if drawn is not None and key != "polar" and len(self._series) > figures.MOST:
+        if drawn is not None and key != "polar" and len(self._series) > MOST:
             chart.on("zoom", lambda _: self._zoom(key, drawn))
 
     def _rows(self, key: str, drawn: Callable[[Zoom], Ints]) -> Ints:

@@ -9,11 +9,11 @@ from nicegui import ui
 from rtec.diagnosis.result import Diagnosis, Finding, Verdict
 from rtec.diagnosis.words import UNITS, fitted_numbers, labels
 from rtec.effects import Effect
-from rtec.studio import actions, figures
-from rtec.studio.chart import zoomable
-from rtec.studio.parts import Area, Words, button, heading, lacking, section, table, tiles, trouble
-from rtec.studio.session import TabSession
-from rtec.studio.tasks import SHOWN, SHOWN_CURVES, DiagnosisView, EffectRequest
+from rtec.studio.parts import actions, figures
+from rtec.studio.parts.chart import zoomable
+from rtec.studio.parts.controls import Area, Words, button, heading, lacking, section, table, tiles, trouble
+from rtec.studio.parts.session import TabSession
+from rtec.tasks.model import SHOWN, SHOWN_CURVES, DiagnosisView, EffectRequest
 from rtec.wording import counted, odds, percent, probability, sizes
 
 FIRST = 3

@@ -15,11 +15,12 @@ from rtec.machine.chain import component_unit
 from rtec.machine.links import LinkPlaces, Side, component_words, link_places, room_mm
 from rtec.model import Model
 from rtec.model.volume import component_errors, tip_errors
-from rtec.report.machine_state import LONGEST, SIDES, Camera, MachineState, effect_words, fed_errors, state_sentence
-from rtec.studio import actions, figures
-from rtec.studio.chart import Chart
-from rtec.studio.parts import Words, heading, label, lacking, number, waiting
-from rtec.studio.session import TabSession
+from rtec.report.machine_state import SIDES, MachineState, effect_words, fed_errors, state_sentence
+from rtec.report.machine_state_figures import LONGEST, Camera
+from rtec.studio.parts import actions, figures
+from rtec.studio.parts.chart import Chart
+from rtec.studio.parts.controls import Words, heading, label, lacking, number, waiting
+from rtec.studio.parts.session import TabSession
 from rtec.wording import number as shown
 from rtec.wording import significant
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 from nicegui import events, ui
 
 from rtec.errors import RtecError
-from rtec.studio import figures, tasks
-from rtec.studio.chart import zoomable
-from rtec.studio.parts import (
+from rtec.studio.parts import figures
+from rtec.studio.parts.chart import zoomable
+from rtec.studio.parts.controls import (
     Area,
     Named,
     Words,
@@ -28,8 +28,9 @@ from rtec.studio.parts import (
     trouble,
     waiting,
 )
-from rtec.studio.session import ForeignFile, TabSession
-from rtec.studio.tasks import ImportView
+from rtec.studio.parts.session import ForeignFile, TabSession
+from rtec.tasks import foreign
+from rtec.tasks.foreign import ImportView
 from rtec.text import clean
 from rtec.wording import counted
 
@@ -75,7 +76,7 @@ async def _look(session: TabSession, other: ForeignFile | None = None, beside: s
     machine = session.machine
     path = session.folder.existing(file.name)
     given = path, session.machine_path if machine else None, file.answers, file.edited
-    found = await session.work("Reading", tasks.look_at_foreign, *given, beside=beside)
+    found = await session.work("Reading", foreign.look_at_foreign, *given, beside=beside)
     if found is None:
         return
     if session.foreign is not None and session.foreign.name == file.name:
@@ -306,7 +307,7 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
             path = session.folder.existing(file.name)
             title = f"Importing {file.name}"
             given = path, view.proposal, out
-            if await session.work(title, tasks.import_foreign, *given, beside="import") is None:
+            if await session.work(title, foreign.import_foreign, *given, beside="import") is None:
                 return
             session.foreign = None
             session.look()

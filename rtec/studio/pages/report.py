@@ -6,13 +6,15 @@ from typing import Final
 
 from nicegui import ui
 
-from rtec.studio import actions, tasks
-from rtec.studio.folder import Summary
 from rtec.studio.pages.add import shown_residuals
 from rtec.studio.pages.compare import shown_plot
-from rtec.studio.parts import Words, button, heading, label, lacking, waiting
-from rtec.studio.session import ModelStep, PlotChoices, TabSession
-from rtec.studio.tasks import DrawnPlot, ImportView, ReportFiles, ReportParts
+from rtec.studio.parts import actions
+from rtec.studio.parts.controls import Words, button, heading, label, lacking, waiting
+from rtec.studio.parts.session import ModelStep, PlotChoices, TabSession
+from rtec.tasks import report as report_task
+from rtec.tasks.folder import Summary
+from rtec.tasks.foreign import ImportView
+from rtec.tasks.report import DrawnPlot, ReportFiles, ReportParts
 from rtec.text import clean
 
 OF_THE_MODEL: Final = frozenset({"compare", "diagnose", "add"})
@@ -143,7 +145,7 @@ async def _made(session: TabSession) -> ReportFiles | None:
     )
     if session.report is not None and session.report[0].is_as(parts):
         return session.report[1]
-    made = await session.work("Report", tasks.report, parts)
+    made = await session.work("Report", report_task.report, parts)
     if made is not None:
         session.report = parts, made
     return made

@@ -17,8 +17,8 @@ from rtec.machine.links import link_places, room_mm
 from rtec.model import load_model
 from rtec.model.volume import component_errors
 from rtec.report.figures import zoom_words
-from rtec.report.machine_state import SIDES, Camera, MachineState
-from rtec.report.machine_state_figures import HALF_VIEW_RAD, links, projection
+from rtec.report.machine_state import SIDES, MachineState
+from rtec.report.machine_state_figures import HALF_VIEW_RAD, Camera, links, projection
 from tests.studio.browser.test_pages import DRAWN
 from tests.studio.studio_rig import MACHINE, RunningStudio, needs_browser, tab
 

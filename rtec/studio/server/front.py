@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Final
 import uvicorn
 from starlette.types import Message, Receive, Scope, Send
 
-from rtec.studio.address import BESIDE, PAGES, OpenPort
-from rtec.studio.guard import Guard
+from rtec.studio.server.address import BESIDE, PAGES, OpenPort
+from rtec.studio.server.guard import Guard
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -122,7 +122,7 @@ def serve(folder: Path, opened: OpenPort, attach: Path | None = None, role: "Rol
 
     def load() -> "Starlette":
         with _without("aiohttp", "tornado", "tornado.web", "pydantic.v1"), _deferred():
-            from rtec.studio.app import made
+            from rtec.studio.server.app import made
 
             return made(folder, attach, role)
 

@@ -9,23 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, TypeVarTuple
 
 from rtec.errors import RtecError
-from rtec.studio.folder import Folder, Listing, Summary
-from rtec.studio.jobs import Cancelled, Job, Reporter
+from rtec.tasks.folder import Folder, Listing, Summary
+from rtec.tasks.jobs import Cancelled, Job, Reporter
 
 if TYPE_CHECKING:
     from rtec.model import Model
     from rtec.report.figures import Zoom
     from rtec.report.machine_state import MachineState
-    from rtec.studio.live import LiveLink
-    from rtec.studio.tasks import (
-        AddedView,
-        CompareView,
-        DiagnosisView,
-        ImportView,
-        ReportFiles,
-        ReportParts,
-        SeriesView,
-    )
+    from rtec.tasks.daemon import LiveLink
+    from rtec.tasks.foreign import ImportView
+    from rtec.tasks.model import AddedView, CompareView, DiagnosisView, SeriesView
+    from rtec.tasks.report import ReportFiles, ReportParts
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
@@ -390,7 +384,7 @@ class TabSession:
             self.on_change()
 
     def _ask(self, question: Any) -> asyncio.Future[Any]:
-        from rtec.studio.tasks import ResidualKnown, StepDone
+        from rtec.tasks.model import ResidualKnown, StepDone
 
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         if isinstance(question, StepDone):

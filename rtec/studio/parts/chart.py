@@ -8,7 +8,7 @@ import nicegui
 from nicegui.element import Element
 
 if TYPE_CHECKING:
-    from rtec.studio.session import TabSession
+    from rtec.studio.parts.session import TabSession
 
 PLOTLY: Final = str(Path(nicegui.__file__).parent / "elements" / "plotly" / "dist")
 
@@ -21,7 +21,7 @@ class Chart(Element, component="chart.js", esm={"nicegui-plotly": PLOTLY}):
     upward direction of a plot in 3D, in Plotly's units).
 
     Args:
-        figure: from `rtec.studio.figures`.
+        figure: from `rtec.studio.parts.figures`.
         shows: description for people who cannot see it.
         keys: whether the arrow keys move from reading to reading.
         view: what the user changed of its layout before.

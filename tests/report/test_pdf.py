@@ -10,7 +10,7 @@ from PIL import Image
 
 from rtec.report.figures import Png
 from rtec.report.page import Figure, Page, Section, Table
-from rtec.studio.pdf import pdf_of
+from rtec.report.pdf import pdf_of
 
 
 def _page(pictures: int) -> Page:

@@ -13,8 +13,8 @@ from nicegui.elements.mixins.text_element import TextElement
 from nicegui.elements.mixins.validation_element import ValidationElement
 
 from rtec.errors import RtecError
-from rtec.studio.jobs import fault
-from rtec.studio.session import TabSession
+from rtec.studio.parts.session import TabSession
+from rtec.tasks.jobs import fault
 from rtec.text import clean_lines
 
 if TYPE_CHECKING:
