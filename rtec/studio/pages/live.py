@@ -131,7 +131,7 @@ class _LivePage:
         found = self._link.status
         self._tracks = {}
         self._axes = tuple(found["status"]["applied_um"]) if found is not None else ()
-        self._limits = self._link.limits()
+        self._limits = dict(self._link.limits_um)
         with ui.element("div").classes("pair"):
             for axis in self._axes:
                 warning, stop = self._limits.get(axis, (0.0, 0.0))
