@@ -94,6 +94,8 @@ def _section(section: Section) -> list[_Item]:
     if section.table is not None:
         out += _table(section.table)
     if section.figure is not None:
+        if section.table is not None:
+            out.append(_Item(GAP_IN))
         picture = _picture(section.figure.png)
         out.append(_Item(_height_in(picture), picture=picture))
     return out

@@ -200,3 +200,18 @@ def test_an_import_that_is_going_on(page: "Page") -> None:
     assert "What it becomes: 162 readings" in html
     assert "messung.csv is not imported yet" in html
     assert html.count("data:image/png;base64,") == 1
+
+
+BREAKS = """() => ['.card', 'table.plain', 'table.plain tr']
+  .map((s) => getComputedStyle(document.querySelector(s)).breakInside)
+  .concat(getComputedStyle(document.querySelector('thead')).display)"""
+
+
+def test_no_row_and_no_small_table_of_live_is_cut_on_paper(page: "Page") -> None:
+    """Oracle: the rules with which Chromium lays the paper out."""
+    _show(page, "Live")
+    page.get_by_text("Inputs and their ages").wait_for()
+    page.emulate_media(media="print")
+    assert page.evaluate(BREAKS) == ["avoid"] * 3 + ["table-header-group"]
+    assert page.locator("nav.side").is_hidden()
+    page.emulate_media(media="screen")
