@@ -96,8 +96,8 @@ export default {
         const now = this.$el._fullLayout, changed = Object.keys(event).join();
         this.forget();
         if (/^scene\.camera/.test(changed)) {
-          const { eye, center, up } = this.$el.layout.scene.camera; // Plotly keeps it there
-          this.$emit("camera", [eye, center, up].map(({ x, y, z }) => [x, y, z]));
+          const own = this.$el.layout.scene.camera ?? {}, plain = now.scene.camera; // Plotly's own where it was reset
+          this.$emit("camera", ["eye", "center", "up"].map((k) => own[k] ?? plain[k]).map(({ x, y, z }) => [x, y, z]));
         }
         if (!/(^|,)[xy]axis2?\.(auto)?range/.test(changed)) return;
         const cut = ["xaxis", "yaxis", "yaxis2"].filter((name) => now[name] && !now[name].autorange);

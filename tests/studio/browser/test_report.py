@@ -171,9 +171,11 @@ def test_the_machine_is_seen_from_the_same_place(page: "Page", workshop: Running
     assert there[:, 1] / there[:, 3] == pytest.approx(here[:, 1] / here[:, 3] / half, abs=1e-3)
     assert there[:, 0] / there[:, 3] * seen["aspect"] == pytest.approx(here[:, 0] / here[:, 3] / half, abs=1e-2)
 
+    drawn = "(e) => [...e.data[1].x, ...e.data[1].z].join()"
+    before = chart.evaluate(drawn)
     page.get_by_label("magnified, times, number").fill("2000")
     page.get_by_label("magnified, times, number").press("Enter")
-    page.wait_for_timeout(500)
+    page.wait_for_function(f"([e, before]) => ({drawn})(e) !== before", arg=[chart.element_handle(), before])
     html = _report(page, "Explore")
     _show(page, "Explore")
     assert _camera(_chart(page, "The machine's links").evaluate(CAMERA)) == camera
