@@ -263,7 +263,8 @@ class _Plots:
     def _point(self, number_of_all: int) -> None:
         i = number_of_all - self._series.first
         if 0 <= i < len(self._series):
-            self._detail.set_text(clean(_row_words(self._series, i)))
+            marked = self._marked_now().partition(":")[0]
+            self._detail.set_text(clean(_row_words(self._series, i)) + (f" {marked}." if marked else ""))
 
     def _brush(self, numbers: list[int]) -> None:
         self._session.plots = replace(self._session.plots, marked=tuple(numbers))

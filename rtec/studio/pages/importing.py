@@ -190,7 +190,7 @@ def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                 for c in p.columns:
                     target = target_of.get(c.name, NOT_USED)
                     with ui.element("tr").classes("picked" if target or c.becomes else ""):
-                        Words("td", c.name, "words")
+                        Words("td", c.name, "words file")
                         Words("td", " · ".join(v[:20] for v in c.first[:3]), "words")
                         _choices(session, file, view, c, target)
                         with ui.element("td").classes("words small why"):
@@ -268,8 +268,10 @@ def _preview(session: TabSession, view: ImportView) -> None:
     with ui.element("div").classes("card"):
         Words("h2", f"What it becomes: {counted(view.rows, 'reading')}")
         zoomable(session, "import", _figure(view), "The readings as they would be imported")
-        for note in view.notes:
-            Words("p", note, "small")
+        with ui.element("details"):
+            Words("summary", f"What is assumed, and where each value is from: {counted(len(view.notes), 'remark')}")
+            for note in view.notes:
+                Words("p", note, "small")
 
 
 def _figure(view: ImportView) -> dict[str, Any]:

@@ -176,7 +176,8 @@ class _Frame:
         self._show_names()
         for key, link in self._links.items():
             here = key == self._name
-            link.classes(add="here" if here else "", remove="" if here else "here")
+            marked = here or (key == "measurements" and self._name in BESIDE)
+            link.classes(add="here" if marked else "", remove="" if marked else "here")
             link.props('aria-current="page"' if here else "", remove="" if here else "aria-current")
         with self._client:
             self._main.clear()
