@@ -12,7 +12,7 @@ import rtec
 from rtec.tasks.folder import Summary
 from rtec.tasks.foreign import ImportView
 from rtec.tasks.jobs import Reporter
-from rtec.tasks.model import SHOWN_CURVES, DiagnosisView, SeriesView
+from rtec.tasks.model import SHOWN_CURVES, DiagnosisView, PreviewView, SeriesView
 
 if TYPE_CHECKING:
     from rtec.model import Model
@@ -103,6 +103,7 @@ class ReportParts:
         diagnosed: the diagnosis, and `rank` the candidate that is shown.
         added: sections on the last addition.
         residuals: the residuals that the page Add and watch draws.
+        previewed: an expression that is being written, and its preview.
         foreign: what the page Import shows.
         state: what the page Explore shows.
         daemon: what the page Live shows.
@@ -119,6 +120,7 @@ class ReportParts:
     rank: int = 1
     added: "Sequence[Section]" = ()
     residuals: tuple["ShownResidual", ...] = ()
+    previewed: tuple[str, PreviewView] | None = None
     foreign: ImportView | None = None
     state: "MachineState | None" = None
     daemon: "DaemonMoment | None" = None
@@ -130,7 +132,10 @@ class ReportParts:
             for p in (self, other)
         )
         series = [p.drawn.series if p.drawn else None for p in (self, other)]
-        kept = all(getattr(self, k) is getattr(other, k) for k in ("model", "diagnosed", "foreign", "state", "daemon"))
+        kept = all(
+            getattr(self, k) is getattr(other, k)
+            for k in ("model", "diagnosed", "previewed", "foreign", "state", "daemon")
+        )
         return one == two and series[0] is series[1] and kept
 
 
@@ -207,7 +212,8 @@ def _model_pages(line: Reporter, parts: ReportParts, names: "tuple[Path, ...]") 
         found = parts.diagnosed.found.page()
         yield replace(found, numbers=(), sections=[*found.sections, *_candidate_sections(parts)], foot=())
     if "add" in parts.names:
-        yield Page("", "", (), [*parts.added, *history_sections(parts.model, True), *_residual_sections(parts)])
+        drawn = [*_residual_sections(parts), *_preview_sections(parts)]
+        yield Page("", "", (), [*parts.added, *history_sections(parts.model, True), *drawn])
 
 
 def _drawn_sections(plot: DrawnPlot) -> "list[Section]":
@@ -296,6 +302,20 @@ def _residual_sections(parts: ReportParts) -> "list[Section]":
         words = [w for w in (zoom_words(zoom),) if w]
         out.append(Section(heading, words, None, Figure(f"residual-{k}.png", png, heading)))
     return out
+
+
+def _preview_sections(parts: ReportParts) -> "list[Section]":
+    """The curve of an expression that is being written and is not added yet."""
+    from rtec.report.diagnosis import evidence_figure
+    from rtec.report.figures import WHOLE, zoom_words
+    from rtec.report.page import Figure, Section
+
+    if parts.previewed is None:
+        return []
+    expression, shown = parts.previewed
+    zoom = parts.zooms.get("add own", WHOLE)
+    heading, words = f"Not added yet: {expression}", [w for w in (shown.words, zoom_words(zoom)) if w]
+    return [Section(heading, words, None, Figure("own.png", evidence_figure([shown.evidence], [zoom]), heading))]
 
 
 def _foreign_sections(view: ImportView, zoom: "Zoom") -> "list[Section]":

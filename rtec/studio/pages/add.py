@@ -255,6 +255,7 @@ class _Form:
     def __init__(self, session: TabSession) -> None:
         self._session = session
         self._preview: Job | None = None
+        self._below = ""
         self._ranges: dict[str, tuple[float, float, float]] = {}
 
     def build(self) -> None:
@@ -291,10 +292,10 @@ class _Form:
         self._message = Words("p", "Its curve through the residual appears here while you type.", "small").props(
             'role="status"'
         )
-        self._chart = Chart(
-            {"data": [], "layout": figures.layout(xaxis=figures.axis(""), yaxis=figures.axis(""))},
-            "Residual and the expression",
-        )
+        first: dict[str, Any] = {"data": [], "layout": figures.layout(xaxis=figures.axis(""), yaxis=figures.axis(""))}
+        if s.previewed is not None:
+            first, self._below = figures.evidence_figure(s.previewed[1].evidence), s.previewed[1].evidence.below
+        self._chart = zoomable(s, "add own", first, "Residual and the expression")
         button("Add this effect", self._add)
         trouble(s, "own_add")
         for key, field in (("own", self._text), ("feeds", self._component), ("params", self._params)):
@@ -324,7 +325,7 @@ class _Form:
             "feeds": self._component.value or "",
             "params": self._params.value or "",
         }
-        self._ranges = {}
+        self._ranges, self._session.previewed = {}, None
         self._text.error = self._component.error = self._params.error = None
         try:
             request = self._request()
@@ -374,7 +375,11 @@ class _Form:
         if not self._chart.is_deleted:
             self._text.error = None
             self._message.set_text(shown.words)
+            if shown.evidence.below != self._below:
+                self._session.unzoom("add own")
+            self._below = shown.evidence.below
             self._chart.show(figures.evidence_figure(shown.evidence))
+            self._session.previewed = request.expression, shown
 
     async def _add(self) -> None:
         try:

@@ -139,6 +139,7 @@ async def _made(session: TabSession) -> ReportFiles | None:
         rank=session.rank,
         added=step.added.page.sections[:1] if step is not None and step.added is not None and "add" in chosen else (),
         residuals=shown_residuals(session, compared) if compared is not None and "add" in chosen else (),
+        previewed=session.previewed if "add" in chosen else None,
         foreign=_imported(session) if "import" in chosen else None,
         state=session.explored if "explore" in chosen else None,
         daemon=session.live.moment() if session.live is not None and "live" in chosen else None,

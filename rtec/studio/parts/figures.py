@@ -388,10 +388,17 @@ def staircase(names: Sequence[str], errors: Sequence[float], floor: float | None
         f"residual on held-out runs, {unit}",
         type="log",
         range=[float(np.log10(low / 1.5)), float(np.log10(high * 1.6))],
+        fixedrange=True,
         tickvals=ticks,
         ticktext=[f"{v:g}" for v in ticks],
     )
-    across = axis("", tickvals=places, ticktext=[_broken(n) for n in names], range=[-0.4, max(len(names) - 0.2, 1.5)])
+    across = axis(
+        "",
+        fixedrange=True,
+        tickvals=places,
+        ticktext=[_broken(n) for n in names],
+        range=[-0.4, max(len(names) - 0.2, 1.5)],
+    )
     return {"data": traces, "layout": layout(xaxis=across, yaxis=up, dragmode=False)}
 
 
@@ -422,5 +429,5 @@ def bars(rows: Mapping[str, float], units: Mapping[str, str], title: str, words:
     }
     return {
         "data": [trace],
-        "layout": layout(xaxis=axis(title), yaxis=axis("", automargin=True), dragmode=False),
+        "layout": layout(xaxis=axis(title, fixedrange=True), yaxis=axis("", fixedrange=True), dragmode=False),
     }

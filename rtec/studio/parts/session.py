@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rtec.report.machine_state import MachineState
     from rtec.tasks.daemon import LiveLink
     from rtec.tasks.foreign import ImportView
-    from rtec.tasks.model import AddedView, CompareView, DiagnosisView, SeriesView
+    from rtec.tasks.model import AddedView, CompareView, DiagnosisView, PreviewView, SeriesView
     from rtec.tasks.report import ReportFiles, ReportParts
 
 Ts = TypeVarTuple("Ts")
@@ -142,6 +142,7 @@ class TabSession:
         moving: whether the page Add and watch is to move the residual from there.
         foreign: the file of another program that is being imported, or None.
         live: connection to a daemon, or None.
+        previewed: the expression that is being written on the page Add and watch, and its preview; None: none.
         explored: what the page Explore shows; None before its first visit.
         reported: names of the parts that the report is to hold; None: all that there are.
         report: the last report, and its parts.
@@ -175,6 +176,7 @@ class TabSession:
     moving: bool = False
     foreign: ForeignFile | None = None
     live: LiveLink | None = None
+    previewed: tuple[str, PreviewView] | None = None
     explored: MachineState | None = None
     reported: frozenset[str] | None = None
     report: tuple[ReportParts, ReportFiles] | None = None
@@ -307,8 +309,8 @@ class TabSession:
         self._show_whole_plots()
 
     def _show_whole_plots(self) -> None:
-        """Forget zoom, marked readings and candidate: they were of another model or of other readings."""
-        self.rank = 1
+        """Forget zoom, marked readings, candidate and preview: they were of another model or of other readings."""
+        self.rank, self.previewed = 1, None
         self.unzoom("compare", "diagnose", "add")
         self.plots = replace(self.plots, marked=())
 

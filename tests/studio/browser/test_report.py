@@ -6,6 +6,7 @@ Oracles: the axes, the camera and the projection of the browser's own plots; the
 import re
 from base64 import b64encode
 from collections.abc import Iterator
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -136,6 +137,24 @@ def test_the_candidate_and_the_residual_after_it_are_cut_as_on_the_page(page: "P
     html = _report(page, "Add and watch")
     assert "<h2>The residual of laser-a</h2>" in html
     assert zoom_words({axis: (v[0], v[1]) for axis, v in ends.items()}) in html
+    _show(page, "Add and watch")
+
+
+def test_an_expression_that_is_being_written(page: "Page") -> None:
+    """Oracle: the page's own words."""
+    page.get_by_text("An effect of your own").click()
+    page.get_by_label("Expression, µm or µrad").fill("A*sin(2*pi*x/50)")
+    words = page.get_by_text("of the mean square of the residual of these readings")
+    words.wait_for()
+    said = words.inner_text()
+    html = _report(page, "Add and watch")
+    assert "<h2>Not added yet: A*sin(2*pi*x/50)</h2>" in html
+    assert f"<p>{escape(said)}</p>" in html
+    _show(page, "Add and watch")
+    page.get_by_label("Expression, µm or µrad").fill("")
+    page.get_by_text("Ready.").wait_for()
+    page.wait_for_timeout(1000)  # the field waits while one types
+    assert "Not added yet" not in _report(page, "Add and watch")
 
 
 def _camera(found: dict[str, dict[str, float]]) -> Camera:
