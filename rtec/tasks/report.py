@@ -55,6 +55,11 @@ class DrawnPlot:
         return self.over, self.colour, tuple(self.marked.tolist()), self.zooms
 
 
+def marked_rows(series: SeriesView, numbers: Sequence[int]) -> Ints:
+    """Rows of the marked readings of a column, (k,), of their numbers among those of all columns."""
+    return np.array([n - series.first for n in numbers if 0 <= n - series.first < len(series)], dtype=np.int64)
+
+
 def marked_words(plot: DrawnPlot) -> str:
     """How many readings are marked, their residual, and where they are, in words; empty where none is."""
     from rtec.report.thinning import MOST
@@ -83,10 +88,12 @@ class ShownResidual:
     Attributes:
         series: the reading column.
         most: half of the vertical scale.
+        marked: rows of the marked readings, (k,).
     """
 
     series: SeriesView
     most: float
+    marked: Ints
 
 
 @dataclass(frozen=True)
@@ -128,7 +135,15 @@ class ReportParts:
     def is_as(self, other: "ReportParts") -> bool:
         """Whether a report of the one is a report of the other, too: the same objects, drawn in the same way."""
         one, two = (
-            (p.names, p.listed, p.files, p.rank, p.zooms, p.drawn and p.drawn.look, len(p.residuals))
+            (
+                p.names,
+                p.listed,
+                p.files,
+                p.rank,
+                p.zooms,
+                p.drawn and p.drawn.look,
+                [tuple(r.marked) for r in p.residuals],
+            )
             for p in (self, other)
         )
         series = [p.drawn.series if p.drawn else None for p in (self, other)]
@@ -298,8 +313,9 @@ def _residual_sections(parts: ReportParts) -> "list[Section]":
         s, over = shown.series, next(iter(shown.series.channels))
         zoom, heading = parts.zooms.get(f"add {s.name}", WHOLE), f"The residual of {s.name}"
         png = over_channel(s.name, s.unit, over, s.channels[over], s.residuals, s.direction, s.floor,
-                           zoom={"y": (-shown.most, shown.most)} | dict(zoom))  # fmt: skip
-        words = [w for w in (zoom_words(zoom),) if w]
+                           marked=shown.marked, zoom={"y": (-shown.most, shown.most)} | dict(zoom))  # fmt: skip
+        marked = marked_words(DrawnPlot(s, over, "", shown.marked))
+        words = [w for w in (marked, zoom_words(zoom)) if w]
         out.append(Section(heading, words, None, Figure(f"residual-{k}.png", png, heading)))
     return out
 

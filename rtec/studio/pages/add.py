@@ -35,7 +35,7 @@ from rtec.studio.parts.session import ModelStep, TabSession, blamed
 from rtec.tasks import model as model_tasks
 from rtec.tasks.jobs import Cancelled, Job
 from rtec.tasks.model import CompareView, EffectRequest, RefitQuestion, StepQuestion
-from rtec.tasks.report import ShownResidual
+from rtec.tasks.report import ShownResidual, marked_rows
 from rtec.wording import percent, probability, significant, two_numbers
 
 HELP: Final = (
@@ -179,7 +179,8 @@ def _shown(view: CompareView, source: CompareView) -> list[int]:
 def shown_residuals(session: TabSession, view: CompareView) -> tuple[ShownResidual, ...]:
     """The residuals that the page draws, with their scale."""
     source = _before(session) or view
-    return tuple(ShownResidual(view.series[k], _most(source, k)) for k in _shown(view, source))
+    series = [(view.series[k], _most(source, k)) for k in _shown(view, source)]
+    return tuple(ShownResidual(s, most, marked_rows(s, session.plots.marked)) for s, most in series)
 
 
 def _residual(session: TabSession, view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
@@ -190,12 +191,15 @@ def _residual(session: TabSession, view: CompareView, source: CompareView, k: in
         Words("h2", f"The residual of {s.name}")
         after = _fixed(figures.residual_over(s, over), source, k)
         name, shows = f"add {s.name}", "The residual over position"
+        brushed = session.plots.marked
         if not moved or len(began) != len(s):
-            zoomable(session, name, after, shows).classes("tall").props["data-moved"] = "yes"
+            chart = zoomable(session, name, after, shows, brushed=brushed).classes("tall")
+            chart.on("brush", lambda e: session.mark(e.args)).props["data-moved"] = "yes"
             return
         rows = drawn(began.residuals, began.channels[over], began.residuals)
         before = _fixed(figures.residual_over(began, over, "", rows), source, k)
-        chart = zoomable(session, name, before, shows).classes("tall")
+        chart = zoomable(session, name, before, shows, brushed=brushed).classes("tall")
+        chart.on("brush", lambda e: session.mark(e.args))
         target = _fixed(figures.residual_over(s, over, "", rows), source, k)
         ui.timer(0.6, lambda: chart.morph(target), once=True)
 

@@ -15,7 +15,7 @@ from rtec.studio.parts.chart import Chart, zoomable
 from rtec.studio.parts.controls import Area, Words, button, heading, lacking, section, table, tiles, waiting
 from rtec.studio.parts.session import TabSession
 from rtec.tasks.model import CompareView, OutlierView, SeriesView
-from rtec.tasks.report import DrawnPlot, marked_words
+from rtec.tasks.report import DrawnPlot, marked_rows, marked_words
 from rtec.text import clean
 from rtec.wording import counted, decimals, number, sizes
 
@@ -94,7 +94,7 @@ def shown_plot(session: TabSession, series: Sequence[SeriesView]) -> DrawnPlot:
     """What the first plot draws: the chosen reading column, and the channels for its axis and its colours."""
     s = _chosen(session, series)
     over, colour = session.plots.over, session.plots.colour
-    marked = np.array([n - s.first for n in session.plots.marked if 0 <= n - s.first < len(s)], dtype=np.int64)
+    marked = marked_rows(s, session.plots.marked)
     zooms = {k.removeprefix("compare "): zoom for k, zoom in session.zooms.items() if k.startswith("compare ")}
     first = next(iter(s.channels))
     return DrawnPlot(s, over if over in s.channels else first, colour if colour in s.channels else "", marked, zooms)
@@ -241,7 +241,7 @@ class _Plots:
             ).classes("tall" if key == "time" else "")
         self._plots[key] = _Plot(chart, make, rows)
         chart.on("reading", lambda e: self._point(int(e.args)))
-        chart.on("brush", lambda e: self._brush([int(v) for v in e.args]))
+        chart.on("brush", lambda e: self._brush(e.args))
         if drawn is not None and key != "polar" and len(self._series) > MOST:
             chart.on("zoom", lambda _: self._zoom(key, drawn))
 
@@ -266,8 +266,8 @@ class _Plots:
             marked = self._marked_now().partition(":")[0]
             self._detail.set_text(clean(_row_words(self._series, i)) + (f" {marked}." if marked else ""))
 
-    def _brush(self, numbers: list[int]) -> None:
-        self._session.plots = replace(self._session.plots, marked=tuple(numbers))
+    def _brush(self, numbers: list[float]) -> None:
+        self._session.mark(numbers)
         self._detail.set_text(self._marked_now() or "No readings marked.")
         self._draw_also(shown_plot(self._session, (self._series,)).marked)
 

@@ -61,6 +61,8 @@ export default {
     styled() {
       const { data, layout } = colours(this.moved ?? this.options, getComputedStyle(document.body));
       for (const trace of data) if (trace.ids && marked !== null) trace.selectedpoints = this.lit(trace);
+      // Plotly writes the part in sight into the ranges that it is given.
+      for (const axis of [layout.xaxis, layout.yaxis]) if (axis?.range) axis.range = [...axis.range];
       // Without the box that was drawn: Plotly would select by it again, in its own plot only.
       Object.assign(layout, { selections: [], selectionrevision: marks });
       // As many dots as the screen has; Plotly's own are twice as fine each way, and cost four times as much to draw.
@@ -100,7 +102,8 @@ export default {
           this.$emit("camera", ["eye", "center", "up"].map((k) => own[k] ?? plain[k]).map(({ x, y, z }) => [x, y, z]));
         }
         if (!/(^|,)[xy]axis2?\.(auto)?range/.test(changed)) return;
-        const cut = ["xaxis", "yaxis", "yaxis2"].filter((name) => now[name] && !now[name].autorange);
+        const whole = (name) => this.options.layout[name]?.range?.join() === now[name].range.join();
+        const cut = ["xaxis", "yaxis", "yaxis2"].filter((name) => now[name] && !now[name].autorange && !whole(name));
         this.$emit("zoom", Object.fromEntries(cut.map((name) => [name.replace("axis", ""), now[name].range])));
       });
       this.$el.addEventListener("keydown", (event) => {
@@ -159,7 +162,7 @@ export default {
       await this.drawn; // a slow PC draws the plots before it first
       this.$el.dataset.moved = "no";
       this.moved = options; // what a change of the theme draws
-      const target = colours(options, getComputedStyle(document.body));
+      const target = colours(options, getComputedStyle(document.body)); // its layout is not drawn
       const from = this.$el.data.map((t) => Array.from(t.y ?? []));
       const moving = target.data.map((t, k) => k).filter((k) => from[k]?.length && from[k].length === target.data[k].y.length);
       const end = () => { this.$el.dataset.moved = "yes"; };

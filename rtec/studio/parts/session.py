@@ -319,6 +319,10 @@ class TabSession:
         zoom = {axis: (float(v[0]), float(v[1])) for axis, v in ends.items()}
         self.zooms = {k: v for k, v in self.zooms.items() if k != name} | ({name: zoom} if zoom else {})
 
+    def mark(self, numbers: Sequence[float]) -> None:
+        """Store the marked readings, as the browser reports them: by their numbers among those of all columns."""
+        self.plots = replace(self.plots, marked=tuple(int(n) for n in numbers))
+
     def unzoom(self, *plots: str) -> None:
         """Forget the zoom of the plots whose names begin with one of these."""
         self.zooms = {k: v for k, v in self.zooms.items() if not k.startswith(plots)}

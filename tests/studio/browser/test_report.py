@@ -32,6 +32,11 @@ pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
 
 ENDS = "(e) => Object.fromEntries(['x', 'y'].map((a) => [a, [...e._fullLayout[a + 'axis'].range]]))"
 MARKED = "(e) => e._fullData.reduce((n, t) => n + (t.selectedpoints?.length ?? 0), 0)"
+TOLD = """(e) => {
+  window.zoomed = false;
+  e.on("plotly_relayout", (x) => { window.zoomed ||= /axis.range/.test(Object.keys(x).join()); });
+}"""
+"""When Plotly says what is in sight, which is later than it draws it."""
 CAMERA = "(e) => { const { eye, center, up } = e.layout.scene.camera; return { eye, center, up }; }"
 SEEN = """(e) => {
   const { model, view, projection } = e._fullLayout.scene._scene.glplot.cameraParams;
@@ -55,8 +60,10 @@ def page(browser: Any, workshop: RunningStudio) -> "Iterator[Page]":
 
 
 def _chart(page: "Page", shows: str) -> Any:
+    made = page.locator(f'.chart[aria-label^="{shows}"][data-drawn=yes]').first
+    made.wait_for()
     page.wait_for_function(DRAWN)
-    return page.locator(f'.chart[aria-label^="{shows}"]').first
+    return made
 
 
 def _show(page: "Page", name: str) -> None:
@@ -87,9 +94,10 @@ def _zoom(page: "Page", chart: Any) -> dict[str, list[float]]:
     """Zoom into a part of a plot by the mouse; gives the part that is in sight then."""
     chart.hover()
     chart.locator(".modebar-btn[data-title=Zoom]").click()
-    before: dict[str, list[float]] = chart.evaluate(ENDS)
+    chart.locator(".modebar-btn.active[data-title=Zoom]").wait_for()
+    chart.evaluate(TOLD)
     _drag(page, chart, (0.3, 0.4), (0.6, 0.6))
-    page.wait_for_function(f"([e, x]) => ({ENDS})(e).x[0] !== x", arg=[chart.element_handle(), before["x"][0]])
+    page.wait_for_function("window.zoomed")
     after: dict[str, list[float]] = chart.evaluate(ENDS)
     return after
 
@@ -133,10 +141,20 @@ def test_the_candidate_and_the_residual_after_it_are_cut_as_on_the_page(page: "P
     assert _chart(page, "Residual and fitted effect").evaluate(ENDS) == ends
     page.get_by_role("button", name="Add", exact=True).first.click()
     page.get_by_text("The error falling").wait_for()
+    _drag(page, _chart(page, "The residual over position"), (0.3, 0.2), (0.6, 0.8))
+    page.wait_for_function(f"(e) => ({MARKED})(e) > 0", arg=_chart(page, "The residual over position").element_handle())
+    count = _chart(page, "The residual over position").evaluate(MARKED)
     ends = _zoom(page, _chart(page, "The residual over position"))
     html = _report(page, "Add and watch")
-    assert "<h2>The residual of laser-a</h2>" in html
+    assert f"<h2>The residual of laser-a</h2>\n<p>{count} readings marked: residual" in html
     assert zoom_words({axis: (v[0], v[1]) for axis, v in ends.items()}) in html
+    _show(page, "Add and watch")
+    chart = _chart(page, "The residual over position")
+    chart.hover()
+    chart.locator(".modebar-btn[data-title='Reset axes']").click()
+    page.wait_for_function(f"([e, x]) => ({ENDS})(e).x[0] !== x", arg=[chart.element_handle(), ends["x"][0]])
+    page.wait_for_timeout(500)
+    assert "Zoomed in" not in _report(page, "Add and watch")
     _show(page, "Add and watch")
 
 
