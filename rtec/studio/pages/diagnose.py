@@ -19,8 +19,8 @@ from rtec.wording import counted, odds, percent, probability, sizes
 FIRST = 3
 """Number of candidates that are shown unfolded."""
 ODDS: Final = (
-    "Held-out error: the error of runs that were not used for the fit. Odds and probability: among these candidates "
-    "and 'nothing is missing'. An effect that none of them describes is not counted."
+    "Held-out error: the error on held-out runs, without which the model was fitted. Odds and probability: among these "
+    "candidates and 'nothing is missing'. An effect that none of them describes is not counted."
 )
 WIDE, HIGH = 220, 100
 """Size of the picture of an effect."""
