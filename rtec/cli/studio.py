@@ -43,7 +43,7 @@ def studio(
     your own. Needs `pip install rtec[studio]`.
     """
     _check_installed()
-    from rtec.studio.address import Address, new_token, open_port
+    from rtec.studio.server.address import Address, new_token, open_port
 
     if (tls_cert is None) != (tls_key is None):
         raise RtecError("--tls-cert and --tls-key belong together: give both")
@@ -70,7 +70,7 @@ def studio(
 
         # The browser starts in parallel with the server and waits at the open port.
         webbrowser.open(opened.url)
-    from rtec.studio.front import serve
+    from rtec.studio.server.front import serve
 
     serve(folder, opened, attach, role)
 

@@ -6,7 +6,7 @@ map of two channels; and the contribution of each effect, as bars and stacked al
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from rtec.diagnosis.compare.bins import cut_into
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.report.ball_bar_figures import MIDDLE, ROOM, CircleTrace, around, arrow, frame
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, Png, as_png, canvas, stacked
+from rtec.report.figures import GREY, LINES, OFF, ON, WHOLE, WIDTH_IN, Png, Zoom, as_png, canvas, stacked, zoomed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 COLOURS, OTHERS = LINES[2:], "#A6A6A6"
 BINS, LEAST = 12, 3
@@ -95,6 +96,10 @@ def over_channel(
     direction: Floats,
     floor: float,
     shade: tuple[str, Floats] | None = None,
+    *,
+    predicted: Floats | None = None,
+    marked: Ints | None = None,
+    zoom: Zoom = WHOLE,
 ) -> "MplFigure":
     """The residual of each reading over any channel, coloured by direction or by another channel.
 
@@ -103,29 +108,117 @@ def over_channel(
         unit: unit of the readings, for people.
         below: title of the channel.
         value: its values, (n,).
-        residual: measured minus predicted, (n,).
+        residual: measured minus predicted, (n,); with `predicted` the readings themselves.
         direction: -1, 0 or +1, (n,).
         floor: noise, root mean square; NaN where it is unknown.
         shade: title and values, (n,), of the channel for the colours; None: by direction.
+        predicted: predictions, (n,), which are drawn as lines; None: without.
+        marked: rows of readings that stand out, (k,); None: none.
+        zoom: the visible part.
     """
     figure = canvas(5.4)
     ax = figure.subplots()
     if np.isfinite(floor):
         ax.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
-    thin = np.arange(0, len(value), max(1, len(value) // MOST_DOTS))
+    thin, what = _thin(value, residual, zoom), "residual" if predicted is None else "measured"
+    pale = 0.35 if marked is not None and len(marked) else 1.0
     if shade is not None:
-        dots = ax.scatter(value[thin], residual[thin], c=shade[1][thin], cmap="plasma", s=26, alpha=0.8)
+        dots = ax.scatter(value[thin], residual[thin], c=shade[1][thin], cmap="plasma", s=26, alpha=0.8 * pale)
         figure.colorbar(dots, ax=ax).set_label(shade[0])
     else:
         for name, mask, colour, marker, _ in _ways(direction):
             some = thin[mask[thin]]
-            ax.plot(value[some], residual[some], color=colour, marker=marker, linestyle="", markersize=6, alpha=0.7,
-                    label=f"residual{name}")  # fmt: skip
+            ax.plot(value[some], residual[some], color=colour, marker=marker, linestyle="", markersize=6,
+                    alpha=0.7 * pale, label=f"{what}{name}")  # fmt: skip
+    if predicted is not None:
+        for name, mask, colour, _, line in _ways(direction):
+            known = mask & np.isfinite(value)
+            at, mean, _ = _by_place(value[known], predicted[known])
+            ax.plot(at, mean, color=colour, linestyle=line, label=f"predicted{name}")
+    _mark(ax, value, residual, marked)
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_title(title)
     ax.set_xlabel(below)
-    ax.set_ylabel(f"residual, {unit}")
+    ax.set_ylabel(f"{'residual' if predicted is None else 'error'}, {unit}")
     _legend_above(ax)
+    zoomed(ax, zoom)
+    return figure
+
+
+def _thin(x: Floats, y: Floats, zoom: Zoom) -> Ints:
+    """Rows of the drawn readings, rising: evenly chosen from those in the visible part."""
+    inside = np.ones(len(x), dtype=bool)
+    for axis, values in (("x", x), ("y", y)):
+        low, high = sorted(zoom.get(axis, (-np.inf, np.inf)))
+        inside &= (values >= low) & (values <= high)
+    rows = np.flatnonzero(inside)
+    return rows[:: max(1, len(rows) // MOST_DOTS)]
+
+
+def _mark(ax: "Axes", x: Floats, y: Floats, marked: Ints | None) -> None:
+    if marked is not None and len(marked):
+        ax.plot(x[marked], y[marked], linestyle="", marker="o", markersize=8, color="#F0C000", markeredgecolor="black",
+                label=f"marked: {len(marked)}")  # fmt: skip
+
+
+@as_png
+def around_circle(
+    title: str, unit: str, angle_rad: Floats, measured: Floats, predicted: Floats, marked: Ints
+) -> "MplFigure":
+    """Readings of a ball bar around its circle, magnified, some of them marked.
+
+    Args:
+        title: title of the figure.
+        unit: unit of the readings.
+        angle_rad: angle of each reading, (n,).
+        measured, predicted: (n,).
+        marked: rows of the marked readings, (k,).
+    """
+    figure = canvas(7.6)
+    ax: Any = figure.add_subplot(projection="polar")
+    most = max(float(np.abs(measured).max()), float(np.abs(predicted).max()), 1e-9)
+    thin = np.arange(0, len(measured), max(1, len(measured) // MOST_DOTS))
+    ax.plot(
+        angle_rad[thin], measured[thin] + 2.0 * most, linestyle="", marker=".", color=OFF, alpha=0.3, label="measured"
+    )
+    ax.plot(
+        angle_rad[thin],
+        predicted[thin] + 2.0 * most,
+        linestyle="",
+        marker=".",
+        color=ON,
+        markersize=3,
+        label="predicted",
+    )
+    _mark(ax, angle_rad, measured + 2.0 * most, marked)
+    ax.set_ylim(0.0, 3.2 * most)
+    ax.set_yticks([most, 2.0 * most, 3.0 * most], [f"{v:+.1f} {unit}" for v in (-most, 0.0, most)])
+    ax.set_title(title)
+    ax.legend(loc="center left", bbox_to_anchor=(1.1, 0.5), frameon=False, fontsize=13)
+    return figure
+
+
+@as_png
+def preview(below: str, unit: str, place: Floats, readings: Mapping[str, Floats], zoom: Zoom = WHOLE) -> "MplFigure":
+    """Readings of a table that is being imported, over the axis that moved most.
+
+    Args:
+        below: title of that axis.
+        unit: unit of the readings.
+        place: its values, (n,).
+        readings: reading columns, by name, (n,) each.
+        zoom: the visible part.
+    """
+    figure = canvas(4.8)
+    ax = figure.subplots()
+    for k, (name, values) in enumerate(readings.items()):
+        ax.plot(place, values, linestyle="", marker="os^v"[k % 4], markersize=5, color=LINES[(2 + k) % len(LINES)],
+                label=name)  # fmt: skip
+    ax.axhline(0.0, color="black", linewidth=1)
+    ax.set_xlabel(below)
+    ax.set_ylabel(f"reading, {unit}")
+    _legend_above(ax)
+    zoomed(ax, zoom)
     return figure
 
 
@@ -176,6 +269,9 @@ def over_time(
     measured: Floats | None,
     floor: float,
     sensors: Sequence[tuple[str, Floats]],
+    *,
+    marked: Ints | None = None,
+    zoom: Zoom = WHOLE,
 ) -> "MplFigure":
     """The residual over time, with the temperatures below.
 
@@ -188,18 +284,23 @@ def over_time(
         measured: readings that are drawn, too, (n,), for an instrument at one place; or None.
         floor: noise, root mean square.
         sensors: name and temperature, °C, (n,).
+        marked: rows of readings that stand out, (k,); None: none.
+        zoom: the visible part.
     """
     figure, axes = stacked(*[4.2] * (2 if sensors else 1))
     ax = axes[0]
     ax.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
-    thin = slice(None, None, max(1, len(residual) // MOST_DOTS))
+    thin = _thin(time, residual, zoom)
     if measured is not None:
         ax.plot(time[thin], measured[thin], color=GREY, linestyle="", marker="+", markersize=5, label="measured")
-    ax.plot(time[thin], residual[thin], color=ON, linestyle="", marker="o", markersize=3.5, alpha=0.5, label="residual")
+    ax.plot(time[thin], residual[thin], color=ON, linestyle="", marker="o", markersize=3.5, label="residual",
+            alpha=0.2 if marked is not None and len(marked) else 0.5)  # fmt: skip
+    _mark(ax, time, residual, marked)
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_title(title)
     ax.set_ylabel(f"{'residual' if measured is None else 'error'}, {unit}")
     _legend_above(ax)
+    zoomed(ax, zoom)
     if sensors:
         for place, (name, value) in enumerate(sensors):
             axes[1].plot(*_with_gaps(time, value), color=LINES[place % len(LINES)], label=name, linewidth=2.2)
@@ -207,6 +308,7 @@ def over_time(
         axes[1].set_ylabel("temperature, °C")
         axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
         axes[1].set_xlim(axes[0].get_xlim())
+        zoomed(axes[1], zoom, "y2")
     axes[-1].set_xlabel(f"time since the first reading, {time_unit}")
     return figure
 
@@ -283,6 +385,7 @@ def residual_map(
     up: tuple[str, Floats],
     means: Sequence[tuple[str, Floats]],
     floor: float,
+    zoom: Zoom = WHOLE,
 ) -> "MplFigure":
     """Mean residual in each cell: red above, blue below zero, hatched where there are few readings.
 
@@ -292,12 +395,14 @@ def residual_map(
         across, up: name with unit, and edges of the cells, (k + 1,).
         means: name of each panel, and the means, (up, across); NaN where there are few readings.
         floor: noise floor; limits the strength of the colours.
+        zoom: the visible part.
     """
     figure, axes = stacked(*[5.6] * len(means))
     most = max(floor, *(float(np.abs(mean[np.isfinite(mean)]).max(initial=0.0)) for _, mean in means), 1e-9)
     for ax, (name, mean) in zip(axes, means, strict=True):
         _panel(figure, ax, unit, across, up, mean, most)
         ax.set_title(f"{title}{name}: mean residual in each cell, {unit}")
+        zoomed(ax, zoom)
     axes[-1].set_xlabel(f"{across[0]}   (hatched: fewer than 3 readings)")
     return figure
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rtec.control.facts import axis_rows, footer, input_rows, state_word, troubles
+from rtec.report.figures import Zoom, zoom_words
 from rtec.report.page import Figure, Section, Table
 
 MINUTE_S, HOUR_S = 60.0, 3600.0
@@ -51,12 +52,13 @@ def daemon_lead(m: DaemonMoment) -> str:
     return f"Correction: {word}{reason}. {m.status['machine']}, model {m.status['model']}, {at} UTC."
 
 
-def daemon_sections(m: DaemonMoment, figures: bool = True) -> list[Section]:
+def daemon_sections(m: DaemonMoment, figures: bool = True, zooms: Mapping[str, Zoom] | None = None) -> list[Section]:
     """Sections on a daemon: what is wrong, its axes, inputs and events, and its past.
 
     Args:
         m: the daemon.
         figures: whether to draw.
+        zooms: visible part of each plot of the past, by "live minutes applied", "live minutes degc", "live hours …".
     """
     found, out = m.status, []
     wrong = troubles(found) + [f"why: {r}" for r in found["status"]["reasons"]]
@@ -66,8 +68,8 @@ def daemon_sections(m: DaemonMoment, figures: bool = True) -> list[Section]:
     out.append(Section("Correction of each axis", footer(found), Table(head, axis_rows(found)),
                        _bars(m) if figures else None))  # fmt: skip
     if figures:
-        out += [*_past("last 10 minutes", m.minutes, MINUTE_S, "minutes", "minutes.png"),
-                *_past("last 24 hours", m.hours, HOUR_S, "hours", "hours.png")]  # fmt: skip
+        out += [*_past("last 10 minutes", m.minutes, MINUTE_S, "minutes", zooms or {}),
+                *_past("last 24 hours", m.hours, HOUR_S, "hours", zooms or {})]  # fmt: skip
     rows = input_rows(found) if found["status"]["cycles"] else []
     out.append(Section("Inputs and their ages", [], Table(("input", "value", "age"), rows)))
     events = [[e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]] for e in reversed(found["events"])]
@@ -92,15 +94,18 @@ def _bars(m: DaemonMoment) -> Figure:
     return Figure("axes.png", axis_bars(rows), "requested, applied and residual correction of each axis in its limits")
 
 
-def _past(what: str, kept: Sequence[Moment], unit_s: float, unit: str, name: str) -> list[Section]:
+def _past(what: str, kept: Sequence[Moment], unit_s: float, unit: str, zooms: Mapping[str, Zoom]) -> list[Section]:
     from rtec.report.daemon_figures import past
 
     if len(kept) < 2:
         return []
     corrections, degc = ({n: [of(m).get(n) for m in kept] for n in of(kept[-1])} for of in (_applied, _temperatures))
-    png = past([m.time_s / unit_s for m in kept], unit, corrections, degc)
-    return [Section(f"Applied correction and temperatures, {what}", [], None,
-                    Figure(name, png, f"applied correction and temperatures over the {what}"))]  # fmt: skip
+    both = [zooms.get(f"live {unit} {of}", {}) for of in ("applied", "degc")]
+    png = past([m.time_s / unit_s for m in kept], unit, corrections, degc, both)
+    names = ("Applied correction", "Temperatures")
+    words = [f"{name}: {zoom_words(zoom)}" for name, zoom in zip(names, both, strict=True) if zoom]
+    return [Section(f"Applied correction and temperatures, {what}", words, None,
+                    Figure(f"{unit}.png", png, f"applied correction and temperatures over the {what}"))]  # fmt: skip
 
 
 def _applied(m: Moment) -> Mapping[str, float | None]:

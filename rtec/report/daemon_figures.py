@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rtec.report.figures import GREY, LINES, OFF, ON, as_png, canvas, stacked
+from rtec.report.figures import GREY, LINES, OFF, ON, Zoom, as_png, canvas, stacked, zoomed
 from rtec.wording import number
 
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ def past(
     unit: str,
     applied_um: Mapping[str, Sequence[float | None]],
     degc: Mapping[str, Sequence[float | None]],
+    zooms: Sequence[Zoom] = (),
 ) -> "MplFigure":
     """Applied corrections over time, with the temperatures below.
 
@@ -75,8 +76,10 @@ def past(
         unit: its unit.
         applied_um: of each axis, (n,) each; None where it is not known.
         degc: °C of each sensor, (n,) each; None where it is not read.
+        zooms: the visible part of either.
     """
-    figure, axes = stacked(*([3.6] * (2 if degc else 1)), share=True)
+    # Each has the time that its own plot shows.
+    figure, axes = stacked(*([3.6] * (2 if degc else 1)), share=not any(zooms))
     for ax, lines, what in zip(axes, (applied_um, degc), ("applied correction, µm", "temperature, °C"), strict=False):
         for k, (name, values) in enumerate(lines.items()):
             shown = np.array([np.nan if v is None else v for v in values])
@@ -84,4 +87,6 @@ def past(
         ax.set_ylabel(what)
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
     axes[-1].set_xlabel(f"{unit} since the daemon began")
+    for ax, zoom in zip(axes, zooms, strict=False):
+        zoomed(ax, zoom)
     return figure

@@ -16,7 +16,7 @@ from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.words import MOST_NUMBERS, UNITS, fitted_numbers, hardly, labels, sentence
 from rtec.effects import Effect
 from rtec.report.evidence import Amplitudes, Evidence, evidence
-from rtec.report.figures import GREY, OFF, ON, as_png, canvas, room_above, stacked
+from rtec.report.figures import GREY, OFF, ON, WHOLE, Zoom, as_png, canvas, room_above, stacked, zoomed
 from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
 from rtec.wording import NONE, counted, decimals, number, percent, probability, sizes
@@ -39,26 +39,32 @@ LONG = 24
 
 
 @as_png
-def evidence_figure(rows: Sequence[Evidence]) -> "MplFigure":
-    """The residual and the part that the finding explains, one row a reading column."""
+def evidence_figure(rows: Sequence[Evidence], zooms: Sequence[Zoom] = ()) -> "MplFigure":
+    """The residual and the part that the finding explains, one row a reading column.
+
+    Args:
+        rows: the evidence of each.
+        zooms: the visible part of each; those without one are whole.
+    """
     figure = canvas(ROW_IN * len(rows))
-    for part, row in zip(figure.subfigures(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
+    parts = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
+    for part, row, zoom in zip(parts, rows, [*zooms, *[WHOLE] * len(rows)][: len(rows)], strict=True):
         part.suptitle(row.title, x=0.01, ha="left", fontsize=17, fontweight="bold")
         if row.amplitudes:
             shapes, sizes = part.subplots(1, 2, width_ratios=(3, 2))
-            _draw_curves(shapes, row)
+            _draw_curves(shapes, row, zoom)
             _draw_amplitudes(sizes, row.unit, row.amplitudes)
         elif row.causes:
             top, *others = part.subplots(1 + len(row.causes), 1, sharex=True, height_ratios=(3, *[1] * len(row.causes)))
-            _draw_curves(top, row)
+            _draw_curves(top, row, zoom)
             top.set_xlabel("")
             _draw_causes(others, row)
         else:
-            _draw_curves(part.subplots(), row)
+            _draw_curves(part.subplots(), row, zoom)
     return figure
 
 
-def _draw_curves(ax: "Axes", row: Evidence) -> None:
+def _draw_curves(ax: "Axes", row: Evidence, zoom: Zoom) -> None:
     if not row.second:
         thin = slice(None, None, max(1, len(row.dots[0]) // MOST_DOTS))
         ax.plot(row.dots[0][thin], row.dots[1][thin], linestyle="", marker=".", markersize=5, color=GREY, alpha=0.25,
@@ -85,6 +91,7 @@ def _draw_curves(ax: "Axes", row: Evidence) -> None:
               framealpha=0.9, columnspacing=1.0, handletextpad=0.4)  # fmt: skip
     if row.second:
         _name_levels(ax, row)
+    zoomed(ax, zoom)
 
 
 def _draw_causes(axes: "Sequence[Axes]", row: Evidence) -> None:

@@ -5,7 +5,7 @@ without colour is enough. The input is arrays only: this module does not depend 
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from io import BytesIO
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, ParamSpec
@@ -48,6 +48,9 @@ WIDTH_IN = 11.0
 LETTER, MIN_LETTERS, LABELS_IN = 0.62, 12, 1.3
 """Width of a bold letter in its size; fewest letters in a line of a title; room for the labels of a scale."""
 P = ParamSpec("P")
+Zoom = Mapping[str, tuple[float, float]]
+"""Ends of a part of a figure, by axis: "x", "y", and "y2" of a second panel below; an axis without ends is whole."""
+WHOLE: Zoom = {}
 
 
 class Png(bytes):
@@ -125,3 +128,18 @@ def room_above(ax: "Axes", share: float, below: float = 0.0) -> None:
     """Extend the vertical scale by shares of itself, so that names have room above and below the curves."""
     low, high = ax.get_ylim()
     ax.set_ylim(low - below * (high - low), high + share * (high - low))
+
+
+def zoomed(ax: "Axes", zoom: Zoom, up: str = "y") -> None:
+    """Show a part of a panel only; `up` names its vertical axis in the zoom."""
+    if "x" in zoom:
+        ax.set_xlim(*zoom["x"])
+    if up in zoom:
+        ax.set_ylim(*zoom[up])
+
+
+def zoom_words(zoom: Zoom) -> str:
+    """The part that a figure shows, in words; empty where it is whole."""
+    names = {"x": "the horizontal axis", "y": "the vertical axis", "y2": "the temperatures"}
+    parts = [f"{name} from {zoom[k][0]:.4g} to {zoom[k][1]:.4g}" for k, name in names.items() if k in zoom]
+    return f"Zoomed in: {', '.join(parts)}.".replace("-", "−") if parts else ""

@@ -9,6 +9,7 @@ from rtec.machine.chain import component_unit
 from rtec.machine.links import Side, component_words, link_places
 from rtec.model import Model
 from rtec.model.volume import component_errors, cylinder, tip_errors
+from rtec.report.machine_state_figures import Camera
 from rtec.report.page import Figure, Section, Table
 from rtec.wording import number, significant
 
@@ -24,12 +25,15 @@ class MachineState:
         state: positions by axis, mm; `dir_X`; temperatures, °C; spindle speed: names as for `Model.predict`.
         off: indices of the effects that are switched off.
         magnified: factor by which errors are drawn larger.
+        machine_from, travel_from: cameras of the figures of the machine, and of the error over its travel.
     """
 
     model: Model
     state: Mapping[str, float]
     off: frozenset[int] = field(default_factory=frozenset)
     magnified: float = 1e4
+    machine_from: Camera = field(default_factory=Camera)
+    travel_from: Camera = field(default_factory=Camera)
 
     @property
     def switched(self) -> Model:
@@ -124,8 +128,8 @@ def _figures(s: MachineState, errors: Mapping[str, float]) -> tuple[Figure, Figu
 
     machine, components = s.model.machine, component_errors(s.switched, s.state)
     sides = {side: link_places(machine, components, s.pose_mm, side) for side in SIDES}
-    chain = drawn.links(machine, sides, s.magnified)
-    over = drawn.volume(machine, tip_errors(s.switched, s.state), s.magnified)
+    chain = drawn.links(machine, sides, s.magnified, s.machine_from)
+    over = drawn.volume(machine, tip_errors(s.switched, s.state), s.magnified, s.travel_from)
     bars = None
     if errors:
         names = {c: f"{c}\n{component_words(c, machine)}" for c in errors}

@@ -1,6 +1,7 @@
 """Figures of a model in one state, from arrays to PNG: the links, the errors over the travels, the component errors."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,22 +18,39 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 SCALE = ("#3d7fd6", "#a87aa8", "#d9760b")
 """From the smallest to the largest error."""
-ELEVATION_DEG, AZIMUTH_DEG = 19.0, -57.0
-HIGH_IN = 7.6
+HIGH_IN, HALF_VIEW_RAD = 7.6, np.pi / 8
+"""Height of a figure in 3D, and half of the angle that its height shows: that of Plotly."""
 LOOKS: dict[Side, tuple[str, str]] = {"tool": (OFF, "o"), "work": (ON, "s")}
 MOST_BARS = 16
+LONGEST = 1.2
+
+
+@dataclass(frozen=True)
+class Camera:
+    """From where a machine is seen. Units: the longest side of the room in which it moves is `LONGEST`.
+
+    Attributes:
+        eye: place of the camera from the room's middle.
+        centre: what it looks at.
+        up: direction that is upwards in the picture.
+    """
+
+    eye: tuple[float, float, float] = (0.98, -1.49, 0.6)
+    centre: tuple[float, float, float] = (0.0, 0.0, -0.1)
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
 
 @as_png
-def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float) -> "MplFigure":
+def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, camera: Camera) -> "MplFigure":
     """The links of both sides, nominal and moved by their errors.
 
     Args:
         machine: the machine.
         sides: its links, by side.
         magnified: factor by which errors are drawn larger.
+        camera: from where it is seen.
     """
-    figure, ax = _room(machine)
+    figure, ax = _room(machine, camera)
     for side, n in sides.items():
         colour, marker = LOOKS[side]
         ax.plot(*n.place_mm.T, color=GREY, linewidth=1.8, label="nominal" if side == "tool" else None)
@@ -45,17 +63,18 @@ def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float) 
 
 
 @as_png
-def volume(machine: Machine, errors: TipErrors, magnified: float) -> "MplFigure":
+def volume(machine: Machine, errors: TipErrors, magnified: float, camera: Camera) -> "MplFigure":
     """Nominal places of the tool tip, each joined with where it is.
 
     Args:
         machine: the machine.
         errors: at each place.
         magnified: factor by which errors are drawn larger.
+        camera: from where it is seen.
     """
     from matplotlib.colors import LinearSegmentedColormap
 
-    figure, ax = _room(machine)
+    figure, ax = _room(machine, camera)
     real = errors.place_mm + 1e-3 * magnified * errors.error_um
     for nominal, at in zip(errors.place_mm, real, strict=True):
         ax.plot(*np.stack([nominal, at]).T, color=GREY, linewidth=1.2)
@@ -91,8 +110,30 @@ def bars(rows: Sequence[tuple[str, float, str]]) -> "MplFigure":
     return figure
 
 
-def _room(machine: Machine) -> "tuple[MplFigure, Any]":
-    """A room in which the machine moves, with the same scale along all axes."""
+def projection(room_mm: Floats, camera: Camera) -> Floats:
+    """Matrix from places in mm to the picture, (4, 4): in perspective, its half height is the tangent of half the view.
+
+    Args:
+        room_mm: ends of the room along X, Y and Z, (3, 2).
+        camera: from where it is seen.
+    """
+    scale = LONGEST / float(np.ptp(room_mm, axis=1).max())
+    eye, centre, up = (np.array(v) for v in (camera.eye, camera.centre, camera.up))
+    back = (eye - centre) / np.linalg.norm(eye - centre)
+    right = np.cross(up, back)
+    right = right / np.linalg.norm(right)
+    axes = np.stack([right, np.cross(back, right), back])
+    turned = scale * axes
+    moved = -turned @ room_mm.mean(axis=1) - axes @ eye
+    across, up, distance = (
+        np.append(sign * t, sign * m) for sign, t, m in zip((1.0, 1.0, -1.0), turned, moved, strict=True)
+    )
+    # As matplotlib's own, the third coordinate is below zero and rises with the distance.
+    return np.stack([across, up, np.array([0.0, 0.0, 0.0, -1.0]), distance])
+
+
+def _room(machine: Machine, camera: Camera) -> "tuple[MplFigure, Any]":
+    """A room in which the machine moves, with the same scale along all axes, seen by a camera."""
     from matplotlib.ticker import MaxNLocator
 
     figure = canvas(HIGH_IN)
@@ -101,8 +142,13 @@ def _room(machine: Machine) -> "tuple[MplFigure, Any]":
     for k, axis in enumerate("xyz"):
         getattr(ax, f"set_{axis}lim")(*room[k])
         getattr(ax, f"set_{axis}label")(f"{axis.upper()}, mm", labelpad=10)
-    ax.set_box_aspect(np.ptp(room, axis=1), zoom=0.84)
-    ax.view_init(ELEVATION_DEG, AZIMUTH_DEG)
+    ax.set_box_aspect(np.ptp(room, axis=1))
+    right, forward, high = np.array(camera.eye) - np.array(camera.centre)
+    ax.view_init(np.rad2deg(np.arctan2(high, np.hypot(right, forward))), np.rad2deg(np.arctan2(forward, right)))
+    half = float(np.tan(HALF_VIEW_RAD))
+    # matplotlib has neither a camera's place nor its upward direction.
+    ax.get_proj = lambda: projection(room, camera)
+    ax.viewLim.intervalx = ax.viewLim.intervaly = (-half, half)
     ax.tick_params(labelsize=12)
     for axis, wide in zip((ax.xaxis, ax.yaxis, ax.zaxis), np.ptp(room, axis=1), strict=True):
         axis.set_major_locator(MaxNLocator(5 if wide > 0.5 * np.ptp(room, axis=1).max() else 2))

@@ -1,5 +1,5 @@
 """The browser: shows where the model fails, adds the missing effect, and shows the error fall.
 
-This package has pages only: numbers come from the same functions as on the command line, in a process of their own.
-`docs/studio.md`.
+`pages` has a file for each page, `parts` what they are made of, `server` what sends them. Nothing is computed here:
+numbers come from `rtec.tasks`, and so from the same functions as on the command line. `docs/studio.md`.
 """

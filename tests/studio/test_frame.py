@@ -13,13 +13,13 @@ from nicegui import Client, events, ui
 from starlette.requests import Request
 
 from rtec.errors import RtecError
-from rtec.studio import tasks
-from rtec.studio.app import Studio, _Frame
-from rtec.studio.folder import Folder
-from rtec.studio.jobs import Job
 from rtec.studio.pages import importing, measurements
-from rtec.studio.parts import waiting
-from rtec.studio.session import ForeignFile, TabSession
+from rtec.studio.parts.controls import waiting
+from rtec.studio.parts.session import ForeignFile, TabSession
+from rtec.studio.server.app import Studio, _Frame
+from rtec.tasks import foreign
+from rtec.tasks.folder import Folder
+from rtec.tasks.jobs import Job
 
 pytestmark = pytest.mark.xdist_group("studio")
 
@@ -87,7 +87,7 @@ def test_a_page_says_why_what_it_waits_for_could_not_begin(
 ) -> None:
     """It would wait for ever, and only the terminal would say why."""
     begun: list[Any] = []
-    monkeypatch.setattr("rtec.studio.parts.soon", begun.append)
+    monkeypatch.setattr("rtec.studio.parts.controls.soon", begun.append)
 
     async def begin(_: TabSession) -> None:
         raise error
@@ -106,9 +106,9 @@ def test_a_file_that_is_opened_while_another_is_read_is_not_taken_for_it(
     first, second = ForeignFile("a.csv"), ForeignFile("b.csv")
     (session.folder.root / "a.csv").write_text("a;b\n1;2\n")
     session.foreign = first
-    seen = tasks.ImportView(None)  # type: ignore[arg-type]
+    seen = foreign.ImportView(None)  # type: ignore[arg-type]
 
-    async def work(*_: Any, **__: Any) -> tasks.ImportView:
+    async def work(*_: Any, **__: Any) -> foreign.ImportView:
         session.foreign = second
         return seen
 
@@ -130,11 +130,11 @@ def test_a_file_is_looked_at_again_once_its_machine_is_chosen(
     read: list[Any] = []
     monkeypatch.setattr(importing, "waiting", lambda tab, *_: read.append(tab.foreign))
     monkeypatch.setattr(importing, "_page", lambda *_: read.append("shown"))
-    session.foreign = ForeignFile("a.csv", looked=tasks.ImportView(None))  # type: ignore[arg-type]
+    session.foreign = ForeignFile("a.csv", looked=foreign.ImportView(None))  # type: ignore[arg-type]
     importing.build(session)
     session.machine = "mill.toml"
     importing.build(session)
-    session.foreign = ForeignFile("a.csv", looked=tasks.ImportView(None), machine="mill.toml")  # type: ignore[arg-type]
+    session.foreign = ForeignFile("a.csv", looked=foreign.ImportView(None), machine="mill.toml")  # type: ignore[arg-type]
     importing.build(session)
     assert read == ["shown", ForeignFile("a.csv"), "shown"]
 

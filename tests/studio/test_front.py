@@ -12,7 +12,7 @@ import pytest
 
 nicegui = pytest.importorskip("nicegui")
 
-from rtec.studio.front import FILES, Front  # noqa: E402 - needs NiceGUI
+from rtec.studio.server.front import FILES, Front  # noqa: E402 - needs NiceGUI
 
 STATIC = Path(nicegui.__file__).parent / "static"
 

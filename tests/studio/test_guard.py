@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from rtec.studio.guard import Guard
+from rtec.studio.server.guard import Guard
 
 TOKEN = "a-token-for-tests-only"  # noqa: S105
 PAGE = b"<html><script>1</script></html>"

@@ -11,9 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import RtecError
-from rtec.studio import figures
-from rtec.studio.parts import from_home, number
-from rtec.studio.tasks import SeriesView
+from rtec.report import thinning
+from rtec.studio.parts import figures
+from rtec.studio.parts.controls import from_home, number
+from rtec.tasks.model import SeriesView
 
 
 @pytest.mark.parametrize(
@@ -49,18 +50,18 @@ def test_of_very_many_readings_so_many_are_drawn_that_none_stands_apart_unseen()
     """Oracle: a grid over the plot: no cell with readings is empty; no column is shorter by more than a cell."""
     many = _many(100_000)
     x, left = many.channels["X, mm"], many.residuals
-    rows = figures.drawn(many, x, left)
-    assert len(rows) <= figures.MOST
+    rows = thinning.drawn(many.residuals, x, left)
+    assert len(rows) <= thinning.MOST
     assert 7 in rows
 
     def cells(some: NDArray[np.int64]) -> set[tuple[int, int]]:
         low, wide = (np.array([f(x), f(left)]) for f in (np.min, np.ptp))
-        part = (np.stack([x[some], left[some]], axis=1) - low) / wide * [figures.ACROSS, figures.UP]
-        return {(int(a), int(b)) for a, b in np.minimum(part, [figures.ACROSS - 1, figures.UP - 1])}
+        part = (np.stack([x[some], left[some]], axis=1) - low) / wide * [thinning.ACROSS, thinning.UP]
+        return {(int(a), int(b)) for a, b in np.minimum(part, [thinning.ACROSS - 1, thinning.UP - 1])}
 
     assert cells(rows) == cells(np.arange(len(many)))
-    column = np.floor(x / 500.0 * figures.ACROSS).astype(int)
-    for k in range(figures.ACROSS):
+    column = np.floor(x / 500.0 * thinning.ACROSS).astype(int)
+    for k in range(thinning.ACROSS):
         here = column[rows] == k
         assert np.abs(left[rows][here]).max() == np.abs(left[column == k]).max()
 
@@ -68,8 +69,10 @@ def test_of_very_many_readings_so_many_are_drawn_that_none_stands_apart_unseen()
 def test_every_plot_draws_the_same_even_sample() -> None:
     """So that what is marked in one plot is mostly seen in the others. Oracle: the readings that both draw."""
     many = _many(100_000)
-    one, two = (figures.drawn(many, v, many.residuals) for v in (many.channels["X, mm"], np.arange(100_000.0)))
-    assert len(np.intersect1d(one, two)) > 0.9 * figures.EVENLY
+    one, two = (
+        thinning.drawn(many.residuals, v, many.residuals) for v in (many.channels["X, mm"], np.arange(100_000.0))
+    )
+    assert len(np.intersect1d(one, two)) > 0.9 * thinning.EVENLY
 
 
 def test_no_plot_gets_all_of_very_many_readings() -> None:
@@ -82,12 +85,14 @@ def test_no_plot_gets_all_of_very_many_readings() -> None:
         "residual": figures.residual_over(s, "X, mm"),
         "coloured": figures.residual_over(s, "X, mm", "T_bed, °C"),
         "measured": figures.residual_over(s, "X, mm", what="measured"),
-        "time": figures.over_time(s, figures.drawn(s, hours["time since the first reading, h"], s.residuals)),
+        "time": figures.over_time(
+            s, thinning.drawn(s.residuals, hours["time since the first reading, h"], s.residuals)
+        ),
         "map": figures.residual_map(s, "X, mm", "Y, mm"),
-        "polar": figures.polar(s, np.deg2rad(place), figures.drawn(s, place, s.residuals)),
+        "polar": figures.polar(s, np.deg2rad(place), thinning.drawn(s.residuals, place, s.residuals)),
     }
     sent = {n: sum(len(t.get("x", t.get("r", []))) for t in f["data"]) for n, f in made.items()}
-    assert {n: k for n, k in sent.items() if k > 2 * figures.MOST} == {}
+    assert {n: k for n, k in sent.items() if k > 2 * thinning.MOST} == {}
     assert {n: len(json.dumps(f)) for n, f in made.items() if len(json.dumps(f)) > 1_500_000} == {}
 
 
@@ -103,7 +108,7 @@ def test_zoomed_in_every_reading_there_is_drawn() -> None:
     """Oracle: the readings in that box."""
     many = _many(100_000)
     x, left = many.channels["X, mm"], many.residuals
-    rows = figures.drawn(many, x, left, ((100.0, 120.0), (2.0, -1.0)))
+    rows = thinning.drawn(many.residuals, x, left, {"x": (100.0, 120.0), "y": (2.0, -1.0)})
     assert list(rows) == list(np.flatnonzero((x >= 100.0) & (x <= 120.0) & (left >= -1.0) & (left <= 2.0)))
 
 

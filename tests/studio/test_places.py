@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, get_args
 
@@ -9,7 +10,7 @@ import pytest
 
 from rtec.diagnosis.result import Verdict
 from rtec.studio.pages.diagnose import verdict
-from rtec.studio.session import blamed
+from rtec.studio.parts.session import blamed
 from rtec.wording import odds
 
 
@@ -52,13 +53,41 @@ def test_a_message_belongs_to_the_field_of_its_option() -> None:
 
 def test_the_first_page_is_there_without_what_only_others_need() -> None:
     """Oracle: the modules of a fresh interpreter; the compiled loop alone takes a third of the start."""
-    script = "import rtec.studio.app, rtec.studio.pages.measurements, rtec.studio.pages.live, sys; print(*sys.modules)"
+    needed = "rtec.studio.server.app, rtec.studio.pages.measurements, rtec.studio.pages.live"
+    script = f"import {needed}, sys; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
     assert {"numpy", "numba", "scipy", "matplotlib", "pyarrow", "rtec.loop", "rtec.effects"} & set(loaded) == set()
 
 
 def test_the_server_answers_before_it_has_loaded_what_makes_the_pages() -> None:
     """Oracle: the modules of a fresh interpreter; these take longer than all before the first answer."""
-    script = "import rtec.studio.front, sys; print(*sys.modules)"
+    script = "import rtec.studio.server.front, sys; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
     assert {"nicegui", "fastapi", "pydantic", "socketio", "jinja2", "numpy"} & set(loaded) == set()
+
+
+ASK = """
+import http.client, os, sys, threading
+from pathlib import Path
+from rtec.studio.server.address import Address, open_port
+from rtec.studio.server.front import serve
+opened = open_port(Address("127.0.0.1", 0, "a-token-for-tests-only"))
+
+def ask():
+    server = http.client.HTTPConnection("127.0.0.1", opened.port)
+    server.request("GET", "/", headers={"Cookie": f"rtec-studio-{opened.port}=a-token-for-tests-only"})
+    page = server.getresponse().read()
+    print(b"Drop files here" in page, *sys.modules, flush=True)
+    os._exit(0)
+
+threading.Thread(target=ask).start()
+serve(Path(sys.argv[1]), opened)
+"""
+
+
+def test_the_first_page_is_made_without_models_of_an_old_form(tmp_path: Path) -> None:
+    """FastAPI would load them for the place for files. Oracle: the modules of the server when it has sent the page."""
+    asked = subprocess.run([sys.executable, "-c", ASK, tmp_path], capture_output=True, text=True, check=True)
+    sent, *loaded = asked.stdout.split()
+    assert sent == "True"
+    assert {"pydantic.v1.main", "numpy"} & set(loaded) == set()

@@ -7,12 +7,12 @@ import pytest
 
 import rtec
 from rtec.model import Model, save_model
-from rtec.studio import tasks
-from rtec.studio.folder import Folder, Summary
-from rtec.studio.jobs import Job
-from rtec.studio.session import ModelStep, TabSession
+from rtec.studio.parts.session import ModelStep, TabSession
+from rtec.tasks import foreign
+from rtec.tasks.folder import Folder, Summary
+from rtec.tasks.jobs import Job
 from tests.studio.studio_rig import MACHINE
-from tests.studio.test_tasks import Silent
+from tests.tasks.test_model import Silent
 
 
 @pytest.fixture
@@ -122,9 +122,9 @@ def test_of_a_long_table_some_readings_are_previewed(tmp_path: Path) -> None:
     lines = [f"{k};{20 * (k % 8)};{1 - 2 * (k // 8 % 2)};{k % 3},5;20,0" for k in range(30_000)]
     head = "Zeit [s];X Soll [mm];Richtung;Abweichung [um];T_x_nut [degC]"
     (tmp_path / "long.csv").write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
-    view = tasks.look_at_foreign(Silent(), tmp_path / "long.csv", MACHINE, {}, None)
+    view = foreign.look_at_foreign(Silent(), tmp_path / "long.csv", MACHINE, {}, None)
     assert (view.trouble, view.rows) == ("", 30_000)
-    assert tasks.PREVIEWED <= len(view.place) < 2 * tasks.PREVIEWED
+    assert foreign.PREVIEWED <= len(view.place) < 2 * foreign.PREVIEWED
 
 
 @pytest.mark.parametrize(("content", "said"), [(b"", "no lines"), (b"\n\n", "no lines"), (b"\xff\xfe\x00", "table")])
@@ -132,4 +132,4 @@ def test_an_empty_file_says_so(content: bytes, said: str, tmp_path: Path) -> Non
     """In a sentence that names the file."""
     (tmp_path / "e.csv").write_bytes(content)
     with pytest.raises(rtec.RtecError, match=f"e.csv: .*{said}"):
-        tasks.look_at_foreign(Silent(), tmp_path / "e.csv", MACHINE, {}, None)
+        foreign.look_at_foreign(Silent(), tmp_path / "e.csv", MACHINE, {}, None)

@@ -1,7 +1,7 @@
 """Add and watch: adds effects, moves the residual, and shows the staircase of errors down to the noise floor."""
 
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from nicegui import ui
@@ -10,28 +10,44 @@ from rtec.diagnosis.words import UNITS, labels
 from rtec.errors import RtecError
 from rtec.model.history import steps_of
 from rtec.report.history import stairs
-from rtec.studio import actions, figures
-from rtec.studio.chart import Chart
+from rtec.report.thinning import drawn
 from rtec.studio.pages.compare import worst_first
-from rtec.studio.pages.expression import own_expression
-from rtec.studio.parts import (
+from rtec.studio.parts import actions, figures
+from rtec.studio.parts.chart import Chart, zoomable
+from rtec.studio.parts.controls import (
     Area,
     Named,
     Words,
+    at_fault,
     button,
     command,
     draft,
     heading,
     lacking,
+    number,
     section,
     shell,
+    soon,
     trouble,
     waiting,
 )
-from rtec.studio.session import ModelStep, TabSession
-from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
-from rtec.wording import percent, probability, two_numbers
+from rtec.studio.parts.session import ModelStep, TabSession, blamed
+from rtec.tasks import model as model_tasks
+from rtec.tasks.jobs import Cancelled, Job
+from rtec.tasks.model import CompareView, EffectRequest, RefitQuestion, StepQuestion
+from rtec.tasks.report import ShownResidual, marked_rows
+from rtec.wording import percent, probability, significant, two_numbers
 
+HELP: Final = (
+    "Positions x, y, z in mm; d_x is the direction of motion, -1 or +1; v_x velocity in mm/s; s_x distance since X "
+    "turned round, mm; temperatures by their names, in K above the reference; spindle_rpm, load_kg, time_s.",
+    "Names that are neither channels nor parameters are fitted: A*x, A*sin(2*pi*x/p + phi), B*d_x*T_bed.",
+    "sin, cos, exp, log, sqrt, abs, tanh, min, max; lag(T_bed, tau) is T_bed through a lag of tau seconds.",
+    "A parameter with a range is searched: a start, and from where to where. It gets a slider below.",
+)
+STEPS: Final = 200
+FIELDS: Final = {"--expr": "own", "--component": "feeds", "--param": "params"}
+"""Field of the page for each option of `rtec add`."""
 MOST_RESIDUALS = 3
 """Largest number of reading columns whose residual is drawn; more would move too slowly."""
 
@@ -58,7 +74,7 @@ def build(session: TabSession) -> None:
     with ui.element("div").classes("plots"):
         _stairs(session, step)
         _residuals(session, step.compared)
-    own_expression(session)
+    _own_expression(session)
     if step.added is not None:
         for part in step.added.page.sections[:1]:
             section(part)
@@ -81,16 +97,13 @@ def _toolbar(session: TabSession) -> None:
 
 
 def _move(session: TabSession, by: int) -> None:
-    session.at += by
-    session.improved, session.rank = "", 1
-    session.view["moved"] = "yes"
-    session.view["came_from"] = str(session.at - by)
+    session.move(by)
     session.on_change()
 
 
 async def _refit(session: TabSession) -> None:
     if await actions.add(session, None, "improve"):
-        session.view["moved"] = "yes"
+        session.moving = True
         session.on_change()
 
 
@@ -152,41 +165,59 @@ def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list
 def _residuals(session: TabSession, view: CompareView) -> None:
     """The residuals of the worst reading columns, animated from those of the step before."""
     before = _before(session)
+    moved, session.moving = session.moving and before is not None, False
     source = before if before is not None else view
-    moved = session.view.pop("moved", "") == "yes"
-    for k in [k for k in worst_first(source.series) if k < len(view.series)][:MOST_RESIDUALS]:
-        _residual(view, source, k, moved=moved and before is not None)
+    for k in _shown(view, source):
+        _residual(session, view, source, k, moved=moved)
 
 
-def _residual(view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
+def _shown(view: CompareView, source: CompareView) -> list[int]:
+    """Indices of the reading columns that are drawn."""
+    return [k for k in worst_first(source.series) if k < len(view.series)][:MOST_RESIDUALS]
+
+
+def shown_residuals(session: TabSession, view: CompareView) -> tuple[ShownResidual, ...]:
+    """The residuals that the page draws, with their scale."""
+    source = _before(session) or view
+    series = [(view.series[k], _most(source, k)) for k in _shown(view, source)]
+    return tuple(ShownResidual(s, most, marked_rows(s, session.plots.marked)) for s, most in series)
+
+
+def _residual(session: TabSession, view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
     """The residual of a reading column, on the scale of that of `source`, from which it moves if `moved`."""
     s, began = view.series[k], source.series[k]
     over = next(iter(s.channels))
     with ui.element("div").classes("card"):
         Words("h2", f"The residual of {s.name}")
         after = _fixed(figures.residual_over(s, over), source, k)
+        name, shows = f"add {s.name}", "The residual over position"
+        brushed = session.plots.marked
         if not moved or len(began) != len(s):
-            Chart(after, "The residual over position").classes("tall").props["data-moved"] = "yes"
+            chart = zoomable(session, name, after, shows, brushed=brushed).classes("tall")
+            chart.on("brush", lambda e: session.mark(e.args)).props["data-moved"] = "yes"
             return
-        rows = figures.drawn(began, began.channels[over], began.residuals)
-        chart = Chart(
-            _fixed(figures.residual_over(began, over, "", rows), source, k), "The residual over position"
-        ).classes("tall")
+        rows = drawn(began.residuals, began.channels[over], began.residuals)
+        before = _fixed(figures.residual_over(began, over, "", rows), source, k)
+        chart = zoomable(session, name, before, shows, brushed=brushed).classes("tall")
+        chart.on("brush", lambda e: session.mark(e.args))
         target = _fixed(figures.residual_over(s, over, "", rows), source, k)
         ui.timer(0.6, lambda: chart.morph(target), once=True)
 
 
 def _before(session: TabSession) -> CompareView | None:
-    came = session.view.pop("came_from", "")
-    at = int(came) if came else session.at - 1
+    at = session.at - 1 if session.came_from is None else session.came_from
     return session.steps[at].compared if 0 <= at < len(session.steps) else None
 
 
 def _fixed(figure: dict[str, Any], scale: CompareView, k: int) -> dict[str, Any]:
     """The figure on the scale of the larger residual, so that the fall is visible."""
-    most = 1.08 * float(np.abs(scale.series[k].residuals).max())
+    most = _most(scale, k)
     figure["layout"]["yaxis"]["range"] = [-most, most]
     return figure
+
+
+def _most(scale: CompareView, k: int) -> float:
+    return 1.08 * float(np.abs(scale.series[k].residuals).max())
 
 
 def commands(session: TabSession, out: str) -> list[str]:
@@ -211,6 +242,162 @@ def commands(session: TabSession, out: str) -> list[str]:
             lines.append(["rtec", "add", Named(source), *rest, *given])
         source = target
     return [shell(line) for line in lines]
+
+
+def _own_expression(session: TabSession) -> None:
+    """The form."""
+    form = _Form(session)
+    begun = session.drafts.get("own") or any(session.trouble_at(place) for place in ("own_add", *FIELDS.values()))
+    with ui.element("details").classes("card").props("open" if begun else ""):
+        Words("summary", "An effect of your own")
+        form.build()
+
+
+class _Form:
+    """An expression, its curve during typing, and sliders for its parameters."""
+
+    def __init__(self, session: TabSession) -> None:
+        self._session = session
+        self._preview: Job | None = None
+        self._below = ""
+        self._ranges: dict[str, tuple[float, float, float]] = {}
+
+    def build(self) -> None:
+        s, drafts = self._session, self._session.drafts
+        step = s.step
+        if step is None:
+            return
+        seen = list(
+            dict.fromkeys(
+                c for item in (step.compared.facts["measurements"] if step.compared else []) for c in item["components"]
+            )
+        )
+        with ui.element("div").classes("row start"):
+            self._text = (
+                ui.input("Expression, µm or µrad", placeholder="A*sin(2*pi*x/p + phi)", value=drafts.get("own", ""))
+                .props("outlined debounce=400")
+                .style("flex: 2; min-width: 20rem")
+            )
+            self._component = (
+                ui.select(seen, label="Feeds component", value=drafts.get("feeds") or (seen[0] if seen else None))
+                .props("outlined")
+                .style("min-width: 12rem")
+            )
+            self._params = (
+                ui.input("Parameters with a range", placeholder="p=37:3..200", value=drafts.get("params", ""))
+                .props("outlined debounce=400")
+                .style("flex: 1; min-width: 14rem")
+            )
+        with ui.element("details"):
+            Words("summary", "How to write it")
+            for line in HELP:
+                Words("p", line)
+        self._sliders = ui.element("div").style("display: grid; gap: .3rem")
+        self._message = Words("p", "Its curve through the residual appears here while you type.", "small").props(
+            'role="status"'
+        )
+        first: dict[str, Any] = {"data": [], "layout": figures.layout(xaxis=figures.axis(""), yaxis=figures.axis(""))}
+        if s.previewed is not None:
+            first, self._below = figures.evidence_figure(s.previewed[1].evidence), s.previewed[1].evidence.below
+        self._chart = zoomable(s, "add own", first, "Residual and the expression")
+        button("Add this effect", self._add)
+        trouble(s, "own_add")
+        for key, field in (("own", self._text), ("feeds", self._component), ("params", self._params)):
+            at_fault(s, key, field)
+            field.on_value_change(self._changed)
+        if drafts.get("own"):
+            soon(self._changed)
+
+    def _request(self, theta: dict[str, float] | None = None) -> EffectRequest:
+        params = []
+        for part in (self._params.value or "").split():
+            name, _, rest = part.partition("=")
+            start, _, ends = rest.partition(":")
+            low, _, high = ends.partition("..")
+            try:
+                numbers = [number(v) for v in (start, low, high)]
+            except RtecError as e:
+                raise RtecError(f"{part!r}: write a parameter as NAME=START:LOW..HIGH, for example p=37:3..200") from e
+            self._ranges[name] = (numbers[0], numbers[1], numbers[2])
+            begin = (theta or {}).get(name, numbers[0])
+            params.append(f"{name}={begin:.10g}:{numbers[1]:.10g}..{numbers[2]:.10g}")
+        return EffectRequest("", self._component.value or "", (), (self._text.value or "").strip(), tuple(params))
+
+    async def _changed(self) -> None:
+        self._session.drafts |= {
+            "own": self._text.value or "",
+            "feeds": self._component.value or "",
+            "params": self._params.value or "",
+        }
+        self._ranges, self._session.previewed = {}, None
+        self._text.error = self._component.error = self._params.error = None
+        try:
+            request = self._request()
+        except RtecError as e:
+            self._params.error = str(e)
+            return
+        self._make_sliders()
+        await self._draw(request)
+
+    def _make_sliders(self) -> None:
+        self._sliders.clear()
+        values = {name: start for name, (start, _, _) in self._ranges.items()}
+
+        def move(name: str, label: Any) -> Any:
+            async def moved(event: Any) -> None:
+                values[name] = float(event.value)
+                label.set_text(f"{name} = {significant(values[name], 4)}")
+                await self._draw(self._request(values))
+
+            return moved
+
+        with self._sliders:
+            for name, (start, low, high) in self._ranges.items():
+                with ui.element("div").classes("row"):
+                    label = Words("span", f"{name} = {significant(start, 4)}").style("min-width: 9rem")
+                    slider = ui.slider(
+                        min=low, max=high, step=(high - low) / STEPS, value=start, on_change=move(name, label)
+                    )
+                    slider.props("throttle=0.3").style("flex: 1; max-width: 40rem")
+                    slider.props["aria-label"] = f"parameter {name}"
+
+    async def _draw(self, request: EffectRequest) -> None:
+        step = self._session.step
+        if not request.expression or step is None:
+            return
+        if self._preview is not None:
+            self._preview.cancel()
+        job = self._preview = Job("Preview", lambda: None)
+        try:
+            shown = await job.run(model_tasks.preview, step.model, request, self._session.files)
+        except Cancelled:
+            return
+        except RtecError as e:
+            message, key = blamed(str(e), FIELDS, "own")
+            {"own": self._text, "feeds": self._component, "params": self._params}[key].error = message
+            return
+        if not self._chart.is_deleted:
+            self._text.error = None
+            self._message.set_text(shown.words)
+            if shown.evidence.below != self._below:
+                self._session.unzoom("add own")
+            self._below = shown.evidence.below
+            self._chart.show(figures.evidence_figure(shown.evidence))
+            self._session.previewed = request.expression, shown
+
+    async def _add(self) -> None:
+        try:
+            request = self._request()
+        except RtecError as e:
+            self._params.error = str(e)
+            return
+        if not request.expression:
+            self._text.error = "Write an expression, for example A*sin(2*pi*x/p + phi)"
+            return
+        if await actions.add(self._session, request, "own_add", FIELDS):
+            self._session.drafts |= {"own": "", "params": ""}
+            self._session.moving = True
+            self._session.on_change()
 
 
 def _save(session: TabSession) -> None:

@@ -1,18 +1,21 @@
 """Compare: the model and the measurements, and where the model fails."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from nicegui import events, ui
 from numpy.typing import NDArray
 
-from rtec.studio import actions, figures
-from rtec.studio.chart import Chart
-from rtec.studio.parts import Area, Words, button, heading, lacking, section, table, tiles, waiting
-from rtec.studio.session import TabSession
-from rtec.studio.tasks import CompareView, DrawnPlot, OutlierView, SeriesView
+from rtec.report.figures import Zoom
+from rtec.report.thinning import MOST, drawn
+from rtec.studio.parts import actions, figures
+from rtec.studio.parts.chart import Chart, zoomable
+from rtec.studio.parts.controls import Area, Words, button, heading, lacking, section, table, tiles, waiting
+from rtec.studio.parts.session import TabSession
+from rtec.tasks.model import CompareView, OutlierView, SeriesView
+from rtec.tasks.report import DrawnPlot, marked_rows, marked_words
 from rtec.text import clean
 from rtec.wording import counted, decimals, number, sizes
 
@@ -90,13 +93,16 @@ def worst_first(series: Sequence[SeriesView]) -> list[int]:
 def shown_plot(session: TabSession, series: Sequence[SeriesView]) -> DrawnPlot:
     """What the first plot draws: the chosen reading column, and the channels for its axis and its colours."""
     s = _chosen(session, series)
-    over, colour = (session.view.get(key, "") for key in ("over", "colour"))
-    return DrawnPlot(s, over if over in s.channels else next(iter(s.channels)), colour if colour in s.channels else "")
+    over, colour = session.plots.over, session.plots.colour
+    marked = marked_rows(s, session.plots.marked)
+    zooms = {k.removeprefix("compare "): zoom for k, zoom in session.zooms.items() if k.startswith("compare ")}
+    first = next(iter(s.channels))
+    return DrawnPlot(s, over if over in s.channels else first, colour if colour in s.channels else "", marked, zooms)
 
 
 def _chosen(session: TabSession, series: Sequence[SeriesView]) -> SeriesView:
     """The chosen reading column; at first the one with the largest residual."""
-    kept, names = session.view.get("series", ""), [s.name for s in series]
+    kept, names = session.plots.series, [s.name for s in series]
     return series[names.index(kept) if kept in names else worst(series)]
 
 
@@ -142,7 +148,8 @@ class _Plots:
             self._choice("colour", "Colour by", {"": "direction of motion", **channels}, self._colour)
         self._detail = Words(
             "div",
-            "Point at a reading to see its row, or walk along the readings of a plot with the arrow keys. Drag over "
+            self._marked_now()
+            or "Point at a reading to see its row, or walk along the readings of a plot with the arrow keys. Drag over "
             "readings to mark them in every plot.",
             "reading card",
         ).props('role="status" aria-live="polite"')
@@ -154,7 +161,7 @@ class _Plots:
                 "time",
                 "The residual over time, with the temperatures",
                 lambda rows: figures.over_time(self._series, rows),
-                lambda box: figures.drawn(s, s.channels[time], s.residuals, box),
+                lambda zoom: drawn(s.residuals, s.channels[time], s.residuals, zoom),
             )
             places = [t for t in s.channels if t.endswith(", mm")]
             if len(places) > 1:
@@ -167,9 +174,9 @@ class _Plots:
                     "polar",
                     "Deviation from the circle, magnified",
                     lambda rows: figures.polar(s, angle, rows),
-                    lambda _: figures.drawn(s, angle, s.residuals),
+                    lambda _: drawn(s.residuals, angle, s.residuals),
                 )
-        if len(s) > figures.MOST:
+        if len(s) > MOST:
             Words(
                 "p",
                 f"Of {len(s)} readings so many are drawn that none stands apart unseen; zoom in to see more of those "
@@ -193,19 +200,26 @@ class _Plots:
     def _measured(self, rows: Ints) -> dict[str, Any]:
         return figures.residual_over(self._series, self._over, "", rows, "measured")
 
-    def _over_channel(self, what: str) -> Callable[[figures.Box | None], Ints]:
+    def _over_channel(self, what: str) -> Callable[[Zoom], Ints]:
         s = self._series
         up = s.residuals if what == "residual" else s.measured
-        return lambda box: figures.drawn(s, s.channels[self._over], up, box)
+        return lambda zoom: drawn(s.residuals, s.channels[self._over], up, zoom)
 
     def _choice(self, key: str, label: str, options: dict[str, str], value: str, *, rebuild: bool = False) -> None:
         def choose(event: events.ValueChangeEventArguments[str]) -> None:
-            self._session.view[key] = event.value
+            session = self._session
+            chosen: Any = {key: event.value}
+            session.plots = replace(session.plots, **chosen)
             if rebuild:
-                self._session.on_change()
+                session.plots = replace(session.plots, marked=())
+                session.unzoom("compare")
+                session.on_change()
                 return
-            for name in ("residual", "measured") if key == "over" else ("residual",):
-                self._plots[name].rows = self._over_channel(name)(None)
+            names = ("residual", "measured") if key == "over" else ("residual",)
+            if key == "over":
+                session.unzoom(*(f"compare {name}" for name in names))
+            for name in names:
+                self._plots[name].rows = self._rows(name, self._over_channel(name))
                 self._show(name)
 
         ui.select(options, value=value, label=label, on_change=choose).props("outlined").style("min-width: 15rem")
@@ -215,22 +229,29 @@ class _Plots:
         key: str,
         title: str,
         make: Callable[[Ints], dict[str, Any]],
-        drawn: Callable[[figures.Box | None], Ints] | None = None,
+        drawn: Callable[[Zoom], Ints] | None = None,
     ) -> None:
-        rows = None if drawn is None else drawn(None)
+        session = self._session
+        rows = None if drawn is None else self._rows(key, drawn)
         with ui.element("div").classes("card"):
             Words("h2", title)
             shown = make(NONE if rows is None else rows)
-            chart = Chart(shown, title, keys=drawn is not None).classes("tall" if key == "time" else "")
+            chart = zoomable(
+                session, f"compare {key}", shown, title, keys=drawn is not None, brushed=session.plots.marked
+            ).classes("tall" if key == "time" else "")
         self._plots[key] = _Plot(chart, make, rows)
         chart.on("reading", lambda e: self._point(int(e.args)))
-        chart.on("brush", lambda e: self._brush([int(v) for v in e.args]))
-        if drawn is not None and key != "polar" and len(self._series) > figures.MOST:
-            chart.on("zoom", lambda e: self._zoom(key, drawn, e.args))
+        chart.on("brush", lambda e: self._brush(e.args))
+        if drawn is not None and key != "polar" and len(self._series) > MOST:
+            chart.on("zoom", lambda _: self._zoom(key, drawn))
 
-    def _zoom(self, key: str, drawn: Callable[[figures.Box | None], Ints], box: list[float] | None) -> None:
-        within = None if box is None else ((float(box[0]), float(box[1])), (float(box[2]), float(box[3])))
-        rows, now = drawn(within), self._plots[key].rows
+    def _rows(self, key: str, drawn: Callable[[Zoom], Ints]) -> Ints:
+        """Rows of the readings that a plot draws: of those in sight, and all that are marked."""
+        marked = shown_plot(self._session, (self._series,)).marked
+        return np.union1d(drawn(self._session.zooms.get(f"compare {key}", {})), marked)
+
+    def _zoom(self, key: str, drawn: Callable[[Zoom], Ints]) -> None:
+        rows, now = self._rows(key, drawn), self._plots[key].rows
         if now is None or not np.array_equal(rows, now):
             self._plots[key].rows = rows
             self._show(key)
@@ -242,14 +263,17 @@ class _Plots:
     def _point(self, number_of_all: int) -> None:
         i = number_of_all - self._series.first
         if 0 <= i < len(self._series):
-            self._detail.set_text(clean(_row_words(self._series, i)))
+            marked = self._marked_now().partition(":")[0]
+            self._detail.set_text(clean(_row_words(self._series, i)) + (f" {marked}." if marked else ""))
 
-    def _brush(self, numbers: list[int]) -> None:
-        s = self._series
-        rows = np.array([n - s.first for n in numbers if 0 <= n - s.first < len(s)], dtype=np.int64)
-        drawn = " that are drawn" if len(s) > figures.MOST else ""
-        self._detail.set_text(clean(_marked_words(s, rows, drawn)) if len(rows) else "No readings marked.")
-        self._draw_also(rows)
+    def _brush(self, numbers: list[float]) -> None:
+        self._session.mark(numbers)
+        self._detail.set_text(self._marked_now() or "No readings marked.")
+        self._draw_also(shown_plot(self._session, (self._series,)).marked)
+
+    def _marked_now(self) -> str:
+        """The marked readings in words; empty where there are none."""
+        return clean(marked_words(shown_plot(self._session, (self._series,))))
 
     def _draw_also(self, rows: Ints) -> None:
         """Draw the readings that are marked in one plot in all plots."""
@@ -266,19 +290,6 @@ def _row_words(s: SeriesView, i: int) -> str:
     return (
         f"{s.name}, row {s.row[i]}, run {s.run[i]}: measured {measured}, predicted {predicted}, residual {residual} "
         f"{s.unit}. {'; '.join(channels)}."
-    )
-
-
-def _marked_words(s: SeriesView, rows: Ints, drawn: str) -> str:
-    left = s.residuals[rows]
-    spans = [
-        f"{t.partition(', ')[0]} {v[rows].min():.5g} to {v[rows].max():.5g} {t.partition(', ')[2]}".strip()
-        for t, v in list(s.channels.items())[:4]
-    ]
-    digits = decimals(_rms(left))
-    return (
-        f"{counted(len(rows), 'reading')}{drawn} marked: residual {number(_rms(left), digits)} {s.unit} root mean "
-        f"square, mean {number(float(left.mean()), digits, sign=True)} {s.unit}; {'; '.join(spans)}."
     )
 
 

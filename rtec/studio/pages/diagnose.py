@@ -9,18 +9,18 @@ from nicegui import ui
 from rtec.diagnosis.result import Diagnosis, Finding, Verdict
 from rtec.diagnosis.words import UNITS, fitted_numbers, labels
 from rtec.effects import Effect
-from rtec.studio import actions, figures
-from rtec.studio.chart import Chart
-from rtec.studio.parts import Area, Words, button, heading, lacking, section, table, tiles, trouble
-from rtec.studio.session import TabSession
-from rtec.studio.tasks import SHOWN, DiagnosisView, EffectRequest
+from rtec.studio.parts import actions, figures
+from rtec.studio.parts.chart import zoomable
+from rtec.studio.parts.controls import Area, Words, button, heading, lacking, section, table, tiles, trouble
+from rtec.studio.parts.session import TabSession
+from rtec.tasks.model import SHOWN, SHOWN_CURVES, DiagnosisView, EffectRequest
 from rtec.wording import counted, odds, percent, probability, sizes
 
 FIRST = 3
 """Number of candidates that are shown unfolded."""
 ODDS: Final = (
-    "Odds and probability: among these candidates and 'nothing is missing'. An effect that none of them describes is "
-    "not counted."
+    "Held-out error: the error on held-out runs, without which the model was fitted. Odds and probability: among these "
+    "candidates and 'nothing is missing'. An effect that none of them describes is not counted."
 )
 WIDE, HIGH = 220, 100
 """Size of the picture of an effect."""
@@ -112,9 +112,10 @@ class _Candidates:
         if rank is None:
             Words("p", "There is no curve to show.")
             return
-        for e in curves[rank][:2]:
+        for k, e in enumerate(curves[rank][:SHOWN_CURVES]):
             Words("h2", e.title)
-            Chart(figures.evidence_figure(e), f"Residual and fitted effect: {e.title}")
+            shows = f"Residual and fitted effect: {e.title}"
+            zoomable(self._session, f"diagnose {rank} {k}", figures.evidence_figure(e), shows)
 
     def _choose(self, rank: int) -> None:
         self._session.rank = rank
@@ -211,7 +212,7 @@ def _picture(kind: type[Effect]) -> None:
 
 async def _add(session: TabSession, request: EffectRequest, rank: int) -> None:
     if await actions.add(session, request, f"add_{rank}"):
-        session.view["moved"] = "yes"
+        session.moving = True
         session.go("add")
 
 

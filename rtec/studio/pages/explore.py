@@ -16,10 +16,11 @@ from rtec.machine.links import LinkPlaces, Side, component_words, link_places, r
 from rtec.model import Model
 from rtec.model.volume import component_errors, tip_errors
 from rtec.report.machine_state import SIDES, MachineState, effect_words, fed_errors, state_sentence
-from rtec.studio import actions, figures
-from rtec.studio.chart import Chart
-from rtec.studio.parts import Words, heading, label, lacking, number, waiting
-from rtec.studio.session import TabSession
+from rtec.report.machine_state_figures import LONGEST, Camera
+from rtec.studio.parts import actions, figures
+from rtec.studio.parts.chart import Chart
+from rtec.studio.parts.controls import Words, heading, label, lacking, number, waiting
+from rtec.studio.parts.session import TabSession
 from rtec.wording import number as shown
 from rtec.wording import significant
 
@@ -60,7 +61,9 @@ class _Explorer:
         if kept is None or kept.model is not model:
             known = {} if kept is None else kept.state
             state = {k: float(known.get(k, v)) for k, v in first.items()}
-            kept = MachineState(model, state, magnified=1e4 if kept is None else kept.magnified)
+            kept = (
+                MachineState(model, state) if kept is None else replace(kept, model=model, state=state, off=frozenset())
+            )
         self._keep(kept)
 
     def _keep(self, now: MachineState) -> None:
@@ -74,17 +77,29 @@ class _Explorer:
             with ui.element("div").style("display: grid; gap: 1rem; min-width: 0"):
                 with ui.element("div").classes("card"):
                     Words("h2", "The machine, its error magnified")
-                    self._scene = Chart(scene, "The machine's links: nominal, and moved by their errors").classes(
-                        "tall"
-                    )
+                    words = "The machine's links: nominal, and moved by their errors"
+                    self._scene = self._room(scene, words, "machine_from")
                 with ui.element("div").classes("card"):
                     Words("h2", "Error at the tool tip over the whole travel")
-                    self._map = Chart(volume, "Nominal places and where the tool tip is, magnified").classes("tall")
+                    words = "Nominal places and where the tool tip is, magnified"
+                    self._map = self._room(volume, words, "travel_from")
             with ui.element("div").classes("controls"):
                 self._controls()
                 with ui.element("div").classes("card"):
                     Words("h2", "Component errors here")
                     self._bars = Chart(bars, "Component errors at this place")
+
+    def _room(self, figure: dict[str, Any], shows: str, camera: str) -> Chart:
+        """A plot in 3D, whose camera is a part of the state."""
+        now: Camera = getattr(self._now, camera)
+        made = Chart(figure, shows, view={"scene.camera": _plotly(now)} if now != Camera() else None).classes("tall")
+
+        def look(event: events.GenericEventArguments) -> None:
+            eye, centre, up = ((float(x), float(y), float(z)) for x, y, z in event.args)
+            seen: Any = {camera: Camera(eye, centre, up)}
+            self._keep(replace(self._now, **seen))
+
+        return made.on("camera", look)
 
     def _controls(self) -> None:
         machine, model = self._model.machine, self._model
@@ -224,12 +239,15 @@ def _layout3(machine: Machine) -> dict[str, Any]:
     scene: dict[str, Any] = {
         f"{axis}axis": _axis3(f"{axis.upper()}, mm") | {"range": ranges[k].tolist()} for k, axis in enumerate("xyz")
     }
-    scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (1.2 * ratio).tolist(), strict=True))}
-    scene |= {
-        "uirevision": "kept",
-        "camera": {"eye": {"x": 0.98, "y": -1.49, "z": 0.6}, "center": {"x": 0, "y": 0, "z": -0.1}},
-    }
+    scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (LONGEST * ratio).tolist(), strict=True))}
+    scene |= {"uirevision": "kept", "camera": _plotly(Camera())}
     return figures.layout(scene=scene, dragmode="orbit", margin={"l": 0, "r": 0, "t": 40, "b": 0})
+
+
+def _plotly(camera: Camera) -> dict[str, dict[str, float]]:
+    """A camera in Plotly's words."""
+    given = {"eye": camera.eye, "center": camera.centre, "up": camera.up}
+    return {name: dict(zip("xyz", v, strict=True)) for name, v in given.items()}
 
 
 def _scene(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float) -> dict[str, Any]:

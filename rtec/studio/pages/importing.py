@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 from nicegui import events, ui
 
 from rtec.errors import RtecError
-from rtec.studio import figures, tasks
-from rtec.studio.chart import Chart
-from rtec.studio.parts import (
+from rtec.studio.parts import figures
+from rtec.studio.parts.chart import zoomable
+from rtec.studio.parts.controls import (
     Area,
     Named,
     Words,
@@ -28,8 +28,9 @@ from rtec.studio.parts import (
     trouble,
     waiting,
 )
-from rtec.studio.session import ForeignFile, TabSession
-from rtec.studio.tasks import ImportView
+from rtec.studio.parts.session import ForeignFile, TabSession
+from rtec.tasks import foreign
+from rtec.tasks.foreign import ImportView
 from rtec.text import clean
 from rtec.wording import counted
 
@@ -53,7 +54,9 @@ def build(session: TabSession) -> None:
     file = session.foreign
     if file is not None and file.looked is not None and file.machine != session.machine:
         file = session.foreign = ForeignFile(file.name)
-    heading(f"Import {clean(file.name)}" if file is not None else "Import")
+    heading(
+        f"Import {clean(file.name)}" if file is not None else "Import", session if file is not None else None, "import"
+    )
     if file is None:
         Words("p", "Choose a table of another program on the page Measurements.")
         button("Measurements", partial(session.go, "measurements"), main=True)
@@ -73,11 +76,12 @@ async def _look(session: TabSession, other: ForeignFile | None = None, beside: s
     machine = session.machine
     path = session.folder.existing(file.name)
     given = path, session.machine_path if machine else None, file.answers, file.edited
-    found = await session.work("Reading", tasks.look_at_foreign, *given, beside=beside)
+    found = await session.work("Reading", foreign.look_at_foreign, *given, beside=beside)
     if found is None:
         return
     if session.foreign is not None and session.foreign.name == file.name:
         session.foreign = replace(file, looked=found, machine=machine)
+        session.unzoom("import")
     session.on_change()  # another file that was opened meanwhile is looked at now
 
 
@@ -98,7 +102,7 @@ def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
     if file.answers or any(_is_asked(q) for q in p.questions):
         _questions(session, file, view)
     _columns(session, file, view)
-    _preview(view)
+    _preview(session, view)
     _finish(session, file, view)
 
 
@@ -130,7 +134,7 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
     async def answer(key: str, field: Any) -> None:
         given = str(field.value or "").strip()
         if given and given != file.answers.get(key):
-            session.view[f"typed {file.name} {key}"] = given
+            session.drafts[f"typed {file.name} {key}"] = given
             value = as_toml(given) if key.startswith("setup.") else given
             answered = replace(file, answers={**file.answers, key: value})
             await _look(session, answered, f"answer {key}")
@@ -147,7 +151,7 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
                         field.on_value_change(partial(answer, q.key, field))
                     else:
                         wrong = bool(session.trouble_at(f"answer {q.key}"))
-                        typed = session.view.get(f"typed {file.name} {q.key}", "") if wrong else q.default
+                        typed = session.drafts.get(f"typed {file.name} {q.key}", "") if wrong else q.default
                         field = ui.input(value=typed or "", placeholder=q.hint)
                         for event in ("keydown.enter", "blur"):
                             field.on(event, partial(answer, q.key, field))
@@ -186,7 +190,7 @@ def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                 for c in p.columns:
                     target = target_of.get(c.name, NOT_USED)
                     with ui.element("tr").classes("picked" if target or c.becomes else ""):
-                        Words("td", c.name, "words")
+                        Words("td", c.name, "words file")
                         Words("td", " · ".join(v[:20] for v in c.first[:3]), "words")
                         _choices(session, file, view, c, target)
                         with ui.element("td").classes("words small why"):
@@ -254,7 +258,7 @@ def edit(view: ImportView, name: str, changed: Mapping[str, Any]) -> dict[str, d
     return columns
 
 
-def _preview(view: ImportView) -> None:
+def _preview(session: TabSession, view: ImportView) -> None:
     if view.trouble:
         with ui.element("div").classes("card bad").props('role="alert"'):
             Words("h2", "Like that it cannot be imported")
@@ -263,9 +267,11 @@ def _preview(view: ImportView) -> None:
         return
     with ui.element("div").classes("card"):
         Words("h2", f"What it becomes: {counted(view.rows, 'reading')}")
-        Chart(_figure(view), "The readings as they would be imported")
-        for note in view.notes:
-            Words("p", note, "small")
+        zoomable(session, "import", _figure(view), "The readings as they would be imported")
+        with ui.element("details"):
+            Words("summary", f"What is assumed, and where each value is from: {counted(len(view.notes), 'remark')}")
+            for note in view.notes:
+                Words("p", note, "small")
 
 
 def _figure(view: ImportView) -> dict[str, Any]:
@@ -303,7 +309,7 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
             path = session.folder.existing(file.name)
             title = f"Importing {file.name}"
             given = path, view.proposal, out
-            if await session.work(title, tasks.import_foreign, *given, beside="import") is None:
+            if await session.work(title, foreign.import_foreign, *given, beside="import") is None:
                 return
             session.foreign = None
             session.look()

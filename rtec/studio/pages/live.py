@@ -8,16 +8,16 @@ from nicegui import ui
 
 from rtec.control.facts import axis_rows, footer, input_rows, state_word, troubles, um_text
 from rtec.errors import RtecError
-from rtec.studio.parts import Area, Words, button, from_home, heading, table
-from rtec.studio.session import TabSession
+from rtec.studio.parts.controls import Area, Words, button, from_home, heading, table
+from rtec.studio.parts.session import TabSession
 from rtec.text import clean_lines
 
 if TYPE_CHECKING:
     from collections import deque
 
     from rtec.report.daemon import Moment
-    from rtec.studio.chart import Chart
-    from rtec.studio.live import LiveLink
+    from rtec.studio.parts.chart import Chart
+    from rtec.tasks.daemon import LiveLink
 
 ORDERS: Final = {
     "enable": ("Enable", "Let the correction follow the model, from its present value, within its limits?"),
@@ -131,7 +131,7 @@ class _LivePage:
         found = self._link.status
         self._tracks = {}
         self._axes = tuple(found["status"]["applied_um"]) if found is not None else ()
-        self._limits = self._link.limits()
+        self._limits = dict(self._link.limits_um)
         with ui.element("div").classes("pair"):
             for axis in self._axes:
                 warning, stop = self._limits.get(axis, (0.0, 0.0))
@@ -167,8 +167,8 @@ class _LivePage:
                 words.set_text(f"{um_text(value)}{unit}" if name != "residual" or value is None else f"{value:.2f} µm")
 
     def _spark(self, title: str, kept: "deque[Moment]", *, temperatures: bool) -> None:
-        from rtec.studio import figures
-        from rtec.studio.chart import Chart
+        from rtec.studio.parts import figures
+        from rtec.studio.parts.chart import zoomable
 
         names = self._names(temperatures)
         unit_s, unit = (60.0, "minutes") if kept is self._link.minutes else (3600.0, "hours")
@@ -194,7 +194,8 @@ class _LivePage:
         )
         with ui.element("div").classes("card"):
             Words("h2", title)
-            chart = Chart({"data": data, "layout": layout}, title).classes("low")
+            name = f"live {unit} {'degc' if temperatures else 'applied'}"
+            chart = zoomable(self._session, name, {"data": data, "layout": layout}, title).classes("low")
         self._sparks.append(_Spark(chart, kept, unit_s, temperatures, kept[-1].time_s if kept else 0.0))
 
     def _names(self, temperatures: bool) -> list[str]:

@@ -11,10 +11,10 @@ from nicegui.element import Element
 
 from rtec.commission.example import SHIPPED
 from rtec.errors import RtecError
-from rtec.studio.folder import Summary
-from rtec.studio.jobs import Job
-from rtec.studio.parts import Area, Named, Words, button, command, draft, heading, label, shell, soon, trouble
-from rtec.studio.session import ForeignFile, TabSession
+from rtec.studio.parts.controls import Area, Named, Words, button, command, draft, heading, label, shell, soon, trouble
+from rtec.studio.parts.session import ForeignFile, TabSession
+from rtec.tasks.folder import Summary
+from rtec.tasks.jobs import Job
 from rtec.text import clean
 from rtec.wording import counted
 
@@ -56,9 +56,10 @@ def _empty(session: TabSession) -> None:
 
 
 async def _try_it(session: TabSession) -> None:
-    from rtec.studio import example, tasks
+    from rtec.tasks import example
+    from rtec.tasks import model as model_tasks
 
-    await session.work("Making the example", tasks.try_it, session.folder.root, beside="try")
+    await session.work("Making the example", model_tasks.try_it, session.folder.root, beside="try")
     if not session.trouble:
         session.look()
         beams = tuple(f"{n}.csv" for n in example.BEAMS)
@@ -110,12 +111,14 @@ async def _look(session: TabSession, shown: list[Callable[[], None]]) -> None:
     todo = [n for n in session.listing.measurements if n not in known]
     if not session.machine or not todo:
         return
-    from rtec.studio import tasks
+    from rtec.tasks import model as model_tasks
 
     machine = session.machine
     try:
         # In parallel with other jobs, so that they do not wait for the list.
-        found = await Job("Reading", lambda: None).run(tasks.summaries, session.folder.root, todo, session.machine_path)
+        found = await Job("Reading", lambda: None).run(
+            model_tasks.summaries, session.folder.root, todo, session.machine_path
+        )
     except RtecError as e:
         found = tuple(Summary(name, trouble=str(e)) for name in todo)
     if session.machine == machine:
@@ -331,7 +334,7 @@ class _ModelCard:
         self._session.on_change()
 
     async def _fit(self) -> None:
-        from rtec.studio import tasks
+        from rtec.tasks import model as model_tasks
 
         s = self._session
         if not (s.machine and s.chosen):
@@ -345,10 +348,12 @@ class _ModelCard:
             return
         effects = (self._effects.value or "").strip()
         fields = {"--effects": "fit_effects"}
-        verdict = await s.work("Fitting", tasks.fit, s.machine_path, s.files, out, effects, beside="fit", fields=fields)
+        verdict = await s.work(
+            "Fitting", model_tasks.fit, s.machine_path, s.files, out, effects, beside="fit", fields=fields
+        )
         if verdict is not None:
             s.look()
-            s.view.pop("fit_out", None)
+            s.drafts.pop("fit_out", None)
             s.choose(model=out.name)
             s.on_change()
 

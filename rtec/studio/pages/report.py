@@ -6,11 +6,16 @@ from typing import Final
 
 from nicegui import ui
 
-from rtec.studio import actions, tasks
-from rtec.studio.folder import Summary
-from rtec.studio.parts import Words, button, heading, label, lacking, waiting
-from rtec.studio.session import ModelStep, TabSession
-from rtec.studio.tasks import DrawnPlot, ReportFiles, ReportParts
+from rtec.studio.pages.add import shown_residuals
+from rtec.studio.pages.compare import shown_plot
+from rtec.studio.parts import actions
+from rtec.studio.parts.controls import Words, button, heading, label, lacking, waiting
+from rtec.studio.parts.session import ModelStep, PlotChoices, TabSession
+from rtec.tasks import report as report_task
+from rtec.tasks.folder import Summary
+from rtec.tasks.foreign import ImportView
+from rtec.tasks.report import DrawnPlot, ReportFiles, ReportParts
+from rtec.text import clean
 
 OF_THE_MODEL: Final = frozenset({"compare", "diagnose", "add"})
 """Parts that need a comparison."""
@@ -28,7 +33,7 @@ def build(session: TabSession) -> None:
     """The page."""
     heading("Report")
     live = session.live is not None and session.live.status is not None
-    if not live and not _listed(session) and lacking(session):
+    if not live and not _listed(session) and not _imported(session) and lacking(session):
         return
     step = None if session.lacks else session.step
     asked = session.reported is None or bool(session.reported & OF_THE_MODEL)
@@ -70,6 +75,9 @@ def _parts(session: TabSession, step: ModelStep | None) -> dict[str, _Part]:
         "explore": _Part("Explore: the machine in the state that is set there, its errors, and the part",
                          "" if _explored(session, step) else "the page was not opened with this model yet."),
     }  # fmt: skip
+    if session.foreign is not None:
+        words = f"Import: the preview of {clean(session.foreign.name)}, its columns, units and signs"
+        out["import"] = _Part(words, "" if _imported(session) else "the file was not read yet.")
     if session.live is not None:
         found = session.live.status
         words = "Live: the running daemon at the moment of the click, with the last minutes and hours"
@@ -80,6 +88,11 @@ def _parts(session: TabSession, step: ModelStep | None) -> dict[str, _Part]:
 def _listed(session: TabSession) -> tuple[Summary, ...]:
     """Summaries of the chosen measurements that are known."""
     return tuple(session.summaries[name] for name in session.chosen if name in session.summaries)
+
+
+def _imported(session: TabSession) -> ImportView | None:
+    """The preview of the file that is being imported; None where there is none."""
+    return session.foreign.looked if session.foreign is not None else None
 
 
 def _explored(session: TabSession, step: ModelStep | None) -> bool:
@@ -113,6 +126,7 @@ async def _made(session: TabSession) -> ReportFiles | None:
     step = None if session.lacks else session.step
     chosen = chosen_parts(session, step)
     model = step is not None and bool(chosen & OF_THE_MODEL)
+    compared = step.compared if step is not None else None
     parts = ReportParts(
         names=tuple(sorted(chosen)),
         listed=_listed(session) if "measurements" in chosen else (),
@@ -120,24 +134,27 @@ async def _made(session: TabSession) -> ReportFiles | None:
         files=tuple(session.files) if model else (),
         named=session.model_path if model else None,
         drawn=_drawn(session, step) if "compare" in chosen else None,
+        zooms={k: zoom for k, zoom in session.zooms.items() if not k.startswith("compare")},
         diagnosed=step.diagnosed if step is not None and "diagnose" in chosen else None,
         rank=session.rank,
         added=step.added.page.sections[:1] if step is not None and step.added is not None and "add" in chosen else (),
+        residuals=shown_residuals(session, compared) if compared is not None and "add" in chosen else (),
+        previewed=session.previewed if "add" in chosen else None,
+        foreign=_imported(session) if "import" in chosen else None,
         state=session.explored if "explore" in chosen else None,
         daemon=session.live.moment() if session.live is not None and "live" in chosen else None,
     )
     if session.report is not None and session.report[0].is_as(parts):
         return session.report[1]
-    made = await session.work("Report", tasks.report, parts)
+    made = await session.work("Report", report_task.report, parts)
     if made is not None:
         session.report = parts, made
     return made
 
 
 def _drawn(session: TabSession, step: ModelStep | None) -> DrawnPlot | None:
-    """The residual as the page Compare draws it, where the user chose how; None where it is drawn as at first."""
-    if step is None or step.compared is None or not any(session.view.get(k) for k in ("series", "over", "colour")):
+    """What the page Compare draws, where the user chose how; None where it is drawn as at first."""
+    if step is None or step.compared is None:
         return None
-    from rtec.studio.pages.compare import shown_plot
-
-    return shown_plot(session, step.compared.series)
+    shown = shown_plot(session, step.compared.series)
+    return shown if session.plots != PlotChoices() or shown.zooms else None

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rtec.studio.front import FILES
+from rtec.studio.server.front import FILES
 from tests.studio.studio_rig import needs_browser, running_studio, tab
 
 if TYPE_CHECKING:

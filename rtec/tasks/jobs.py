@@ -18,7 +18,7 @@ from rtec.errors import RtecError
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
-PRELOAD: Final = ["rtec.studio.preload"]
+PRELOAD: Final = ["rtec.tasks.preload"]
 
 
 class Cancelled(Exception):

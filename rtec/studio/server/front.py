@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Final
 import uvicorn
 from starlette.types import Message, Receive, Scope, Send
 
-from rtec.studio.address import BESIDE, PAGES, OpenPort
-from rtec.studio.guard import Guard
+from rtec.studio.server.address import BESIDE, PAGES, OpenPort
+from rtec.studio.server.guard import Guard
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -121,8 +121,10 @@ def serve(folder: Path, opened: OpenPort, attach: Path | None = None, role: "Rol
     """
 
     def load() -> "Starlette":
-        with _without("aiohttp", "tornado", "tornado.web", "pydantic.v1"), _deferred():
-            from rtec.studio.app import made
+        # Also later: FastAPI would look for models of an old form when the first page gets its place for files.
+        sys.modules.setdefault("pydantic.v1", None)  # type: ignore[arg-type]
+        with _without("aiohttp", "tornado", "tornado.web"), _deferred():
+            from rtec.studio.server.app import made
 
             return made(folder, attach, role)
 
@@ -182,7 +184,7 @@ def _loading() -> Iterator[None]:
 def _without(*names: str) -> Iterator[None]:
     """Import as if packages were not installed.
 
-    The socket library would load a client and another server, and FastAPI models of a form; none of them is used here.
+    The socket library would load a client and another server; neither is used here.
     """
     # For an import, None means that there is no such package.
     absent = [n for n in names if n not in sys.modules]

@@ -7,8 +7,8 @@ from typing import Any, Final
 import rtec
 from rtec.commission.example import SHIPPED
 from rtec.errors import RtecError
-from rtec.studio.folder import Folder
-from rtec.studio.jobs import Reporter
+from rtec.tasks.folder import Folder
+from rtec.tasks.jobs import Reporter
 
 MACHINE, MODEL = "turning-centre.toml", "model.toml"
 EFFECTS: Final = "scale,axis_expansion:EXX:sensor=T_x_nut"

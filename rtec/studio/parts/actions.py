@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from rtec.studio import tasks
-from rtec.studio.session import NO_FIELDS, ModelStep, TabSession
-from rtec.studio.tasks import EffectRequest
+from rtec.studio.parts.session import NO_FIELDS, ModelStep, TabSession
+from rtec.tasks import model as model_tasks
+from rtec.tasks.model import EffectRequest
 
 
 async def read_model(session: TabSession) -> bool:
@@ -13,7 +13,9 @@ async def read_model(session: TabSession) -> bool:
         return False
     if not session.steps:
         read = session.stamps()
-        model = await session.work("Reading the model", tasks.load_model, session.model_path, session.machine_path)
+        model = await session.work(
+            "Reading the model", model_tasks.load_model, session.model_path, session.machine_path
+        )
         if model is None:
             return False
         session.steps, session.at = (ModelStep(model, f"{session.model} as it is"),), 0
@@ -28,7 +30,7 @@ async def compare(session: TabSession) -> None:
     step = session.step
     if step is None or step.compared is not None:
         return
-    view = await session.work("Comparing", tasks.compare, step.model, session.files, session.model_path)
+    view = await session.work("Comparing", model_tasks.compare, step.model, session.files, session.model_path)
     if view is not None and session.step is not None and session.step.model is step.model:
         session.keep(compared=view, residual=())
         if not session.on_compared():
@@ -43,10 +45,11 @@ async def diagnose(session: TabSession) -> None:
     if step is None:
         return
     given = step.model, session.files, session.model_path, session.machine_path
-    view = await session.work("Diagnosis", tasks.diagnose, *given, beside="diagnose")
+    view = await session.work("Diagnosis", model_tasks.diagnose, *given, beside="diagnose")
     if view is not None and session.step is step:
         session.keep(diagnosed=view)
         session.rank = 1 if 1 in view.curves else 0
+        session.unzoom("diagnose")
         session.on_change()
 
 
@@ -68,7 +71,7 @@ async def add(
         return False
     title = f"Adding {request.label}" if request else "Refitting"
     given = step.model, request, session.files, session.model_path
-    view = await session.work(title, tasks.add, *given, beside=beside, fields=fields)
+    view = await session.work(title, model_tasks.add, *given, beside=beside, fields=fields)
     if view is None:
         return False
     if not view.added.better:
@@ -93,7 +96,7 @@ async def improve(session: TabSession) -> None:
     if step is None:
         return
     given = step.model, session.files, session.model_path, session.machine_path
-    ended = await session.work("Improving", tasks.improve, *given, beside="improve")
+    ended = await session.work("Improving", model_tasks.improve, *given, beside="improve")
     if ended is not None:
         session.improved = ended
         session.on_change()

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, TypeVarTuple
 
 from rtec.errors import RtecError
-from rtec.studio.folder import Folder, Listing, Summary
-from rtec.studio.jobs import Cancelled, Job, Reporter
+from rtec.tasks.folder import Folder, Listing, Summary
+from rtec.tasks.jobs import Cancelled, Job, Reporter
 
 if TYPE_CHECKING:
     from rtec.model import Model
+    from rtec.report.figures import Zoom
     from rtec.report.machine_state import MachineState
-    from rtec.studio.live import LiveLink
-    from rtec.studio.tasks import (
-        AddedView,
-        CompareView,
-        DiagnosisView,
-        ImportView,
-        ReportFiles,
-        ReportParts,
-        SeriesView,
-    )
+    from rtec.tasks.daemon import LiveLink
+    from rtec.tasks.foreign import ImportView
+    from rtec.tasks.model import AddedView, CompareView, DiagnosisView, PreviewView, SeriesView
+    from rtec.tasks.report import ReportFiles, ReportParts
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
@@ -78,6 +73,22 @@ class ForeignFile:
     machine: str = ""
 
 
+@dataclass(frozen=True)
+class PlotChoices:
+    """What the user chose for the plots of the page Compare.
+
+    Attributes:
+        series: name of the reading column; empty: that with the largest residual.
+        over, colour: titles of the channels; empty: the first one; the direction of motion.
+        marked: numbers of the marked readings among those of all columns.
+    """
+
+    series: str = ""
+    over: str = ""
+    colour: str = ""
+    marked: tuple[int, ...] = ()
+
+
 Stamp = tuple[int, int]
 """Time of the last change of a file, ns, and its size in bytes."""
 
@@ -124,9 +135,14 @@ class TabSession:
         improved: why the last improvement ended.
         question: the job's present question, with the future of its answer.
         rank: the shown candidate.
-        view: texts of fields and settings of plots, by name.
+        drafts: texts of fields, by name.
+        plots: choices for the plots of the page Compare.
+        zooms: zoom of each plot, by its name, which begins with that of its page.
+        came_from: number of the step before the last addition, undo or redo; None: there was none.
+        moving: whether the page Add and watch is to move the residual from there.
         foreign: the file of another program that is being imported, or None.
         live: connection to a daemon, or None.
+        previewed: the expression that is being written on the page Add and watch, and its preview; None: none.
         explored: what the page Explore shows; None before its first visit.
         reported: names of the parts that the report is to hold; None: all that there are.
         report: the last report, and its parts.
@@ -153,9 +169,14 @@ class TabSession:
     improved: str = ""
     question: tuple[Any, asyncio.Future[Any]] | None = None
     rank: int = 1
-    view: dict[str, str] = field(default_factory=dict)
+    drafts: dict[str, str] = field(default_factory=dict)
+    plots: PlotChoices = PlotChoices()
+    zooms: dict[str, Zoom] = field(default_factory=dict)
+    came_from: int | None = None
+    moving: bool = False
     foreign: ForeignFile | None = None
     live: LiveLink | None = None
+    previewed: tuple[str, PreviewView] | None = None
     explored: MachineState | None = None
     reported: frozenset[str] | None = None
     report: tuple[ReportParts, ReportFiles] | None = None
@@ -267,15 +288,44 @@ class TabSession:
 
     def forget(self) -> None:
         """Remove all steps, because the model or the measurements changed."""
-        self.steps, self.at, self.saved, self.improved, self.rank = (), 0, {}, "", 1
+        self.steps, self.at, self.saved, self.improved = (), 0, {}, ""
         self.read = {}
+        self.came_from, self.moving = None, False
+        self._show_whole_plots()
 
     def push(self, step: ModelStep) -> None:
         """Add a step after the current one; undone steps are removed."""
         self.steps = (*self.steps[: self.at + 1], step)
         self.at = len(self.steps) - 1
+        self.came_from, self.moving = self.at - 1, False
         self.saved = {k: name for k, name in self.saved.items() if k < self.at}
-        self.rank = 1
+        self._show_whole_plots()
+
+    def move(self, by: int) -> None:
+        """Go to another step: -1 undoes, +1 redoes."""
+        self.came_from, self.moving = self.at, True
+        self.at += by
+        self.improved = ""
+        self._show_whole_plots()
+
+    def _show_whole_plots(self) -> None:
+        """Forget zoom, marked readings, candidate and preview: they were of another model or of other readings."""
+        self.rank, self.previewed = 1, None
+        self.unzoom("compare", "diagnose", "add")
+        self.plots = replace(self.plots, marked=())
+
+    def zoom(self, name: str, ends: Mapping[str, Sequence[float]]) -> None:
+        """Store the zoom of a plot, as the browser reports it; without ends it is whole."""
+        zoom = {axis: (float(v[0]), float(v[1])) for axis, v in ends.items()}
+        self.zooms = {k: v for k, v in self.zooms.items() if k != name} | ({name: zoom} if zoom else {})
+
+    def mark(self, numbers: Sequence[float]) -> None:
+        """Store the marked readings, as the browser reports them: by their numbers among those of all columns."""
+        self.plots = replace(self.plots, marked=tuple(int(n) for n in numbers))
+
+    def unzoom(self, *plots: str) -> None:
+        """Forget the zoom of the plots whose names begin with one of these."""
+        self.zooms = {k: v for k, v in self.zooms.items() if not k.startswith(plots)}
 
     def keep(self, **known: Any) -> None:
         """Store results with the current step."""
@@ -340,7 +390,7 @@ class TabSession:
             self.on_change()
 
     def _ask(self, question: Any) -> asyncio.Future[Any]:
-        from rtec.studio.tasks import ResidualKnown, StepDone
+        from rtec.tasks.model import ResidualKnown, StepDone
 
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         if isinstance(question, StepDone):

@@ -1,10 +1,10 @@
-"""Tasks of a worker process for a page: load, compare, diagnose, add, improve, fit. Results are small and plain.
+"""Tasks of a worker process on a model: load, compare, diagnose, add, improve, fit. Results are small and plain.
 
 The first argument of each task is its reporter. The numbers are those of the command line: the same functions with the
 same arguments.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import rtec
 from rtec.errors import RtecError
-from rtec.studio.folder import Summary
-from rtec.studio.jobs import Reporter
+from rtec.tasks.folder import Summary
+from rtec.tasks.jobs import Reporter
 
 if TYPE_CHECKING:
     from rtec.diagnosis.compare.result import Comparison, Traces
@@ -24,13 +24,9 @@ if TYPE_CHECKING:
     from rtec.diagnosis.result import Diagnosis, Finding
     from rtec.estimation.outliers import WrongReading
     from rtec.estimation.readings import Readings, Series
-    from rtec.machine import Machine
-    from rtec.metrology.importing import ImportProposal
     from rtec.model import Model
-    from rtec.report.daemon import DaemonMoment
     from rtec.report.evidence import Evidence
-    from rtec.report.machine_state import MachineState
-    from rtec.report.page import Page, Section
+    from rtec.report.page import Page
     from rtec.result import Result
 
 Floats = NDArray[np.float64]
@@ -305,8 +301,8 @@ def _diagnosed(found: "Diagnosis", files: Sequence[Path], machine: Path) -> Diag
     return DiagnosisView(replace(found, judged=None), page, _curves(found))
 
 
-SHOWN = 8
-"""Number of candidates with a card and a curve."""
+SHOWN, SHOWN_CURVES = 8, 2
+"""Number of candidates with a card and a curve, and of reading columns for which the curve is drawn."""
 
 
 def _curves(d: "Diagnosis") -> dict[int, "tuple[Evidence, ...]"]:
@@ -442,7 +438,7 @@ def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, 
 
 def fit(line: Reporter, machine: Path, files: Sequence[Path], out: Path, effects: str) -> str:
     """Fit a first model and write it, as `rtec fit`; give its verdict."""
-    from rtec.studio.folder import Folder
+    from rtec.tasks.folder import Folder
 
     done = rtec.fit(machine, files, effects=effects or None, name=out.stem, progress=line.stage)
     Folder(out.parent).save_model(done.model, out.name)
@@ -451,7 +447,7 @@ def fit(line: Reporter, machine: Path, files: Sequence[Path], out: Path, effects
 
 def try_it(line: Reporter, folder: Path) -> None:
     """Write the tutorial's machine, two measurements with hidden effects, and a first model into a folder."""
-    from rtec.studio.example import write
+    from rtec.tasks.example import write
 
     write(line, folder)
 
@@ -481,243 +477,3 @@ def preview(line: Reporter, model: "Model", request: EffectRequest, files: Seque
     fall = f"removes {percent(shown.removed)}" if shown.removed > 0.0 else "removes nothing"
     words = f"With these parameters it {fall} of the mean square of the residual of these readings."
     return PreviewView(evidence(shown.picture), words)
-
-
-PREVIEWED = 6000
-"""Largest number of drawn readings of a foreign file."""
-
-
-@dataclass(frozen=True)
-class ImportView:
-    """Preview of the import of a file of another program.
-
-    Attributes:
-        proposal: its map, and questions.
-        title, place, readings: the plot: title and values of the horizontal axis, (n,), and the readings by name, (n,)
-            each; of very many readings an even selection.
-        rows: number of rows of the measurement; 0 before the questions are answered.
-        notes: notes on the import, in words.
-        trouble: why it cannot be imported like this; else empty.
-    """
-
-    proposal: "ImportProposal"
-    title: str = ""
-    place: Floats = field(default_factory=lambda: np.zeros(0))
-    readings: Mapping[str, Floats] = field(default_factory=dict)
-    rows: int = 0
-    notes: tuple[str, ...] = ()
-    trouble: str = ""
-
-
-def look_at_foreign(
-    line: Reporter,
-    path: Path,
-    machine: Path | None,
-    answers: Mapping[str, str],
-    edited: Mapping[str, Mapping[str, Any]] | None,
-) -> ImportView:
-    """Propose a map for a file, and import it in memory if all questions are answered.
-
-    Args:
-        line: the reporter.
-        path: path of the file.
-        machine: file of the machine; None: not chosen yet.
-        answers: answers to its questions, by key.
-        edited: columns of the map that the user changed; None: as proposed.
-
-    Raises:
-        RtecError: the file cannot be read.
-    """
-    from rtec.metrology.importing import import_measurement
-
-    line.stage("reading the file", 0, 0)
-    known = rtec.load_machine(machine) if machine is not None else None
-    proposal = _proposed(path, known, dict(answers))
-    if edited is not None:
-        proposal = proposal.with_columns(edited)
-    if proposal.open or known is None:
-        return ImportView(proposal)
-    try:
-        m = import_measurement(path, proposal.import_map(), known)
-    except RtecError as e:
-        return ImportView(proposal, trouble=str(e))
-    moved = max(known.axes, key=lambda a: float(np.ptp(m.channels.get(a.channel, np.zeros(1)))))
-    place = m.channels.get(moved.channel)
-    title, over = ("time, h", m.time_s / 3600.0) if place is None else (f"{moved.name}, mm", place)
-    some = slice(None, None, max(1, len(m) // PREVIEWED))
-    readings = {name: values[some] for name, values in m.readings.items()}
-    return ImportView(proposal, title, over[some], readings, len(m), m.notes)
-
-
-def _proposed(path: Path, machine: "Machine | None", answers: dict[str, str]) -> "ImportProposal":
-    """The proposal; an answer to a question that another answer took away is forgotten."""
-    from rtec.metrology.importing import propose
-
-    first = propose(path, machine)
-    for key, value in answers.items():
-        if key in {q.key for q in first.questions}:
-            first = first.answered({key: value})
-    return first
-
-
-def import_foreign(line: Reporter, path: Path, proposal: "ImportProposal", out: Path) -> tuple[str, ...]:
-    """Write a file of another program as a measurement, with the map that made it; give the notes on it."""
-    line.stage("importing", 0, 0)
-    return rtec.import_table(path, proposal, out).notes
-
-
-@dataclass(frozen=True)
-class ReportFiles:
-    """A report, as one self-contained HTML file and as a PDF."""
-
-    html: bytes
-    pdf: bytes
-
-
-@dataclass(frozen=True)
-class DrawnPlot:
-    """The residual as the page Compare draws it.
-
-    Attributes:
-        series: the reading column.
-        over, colour: titles of the channels; `colour` is empty for the direction of motion.
-    """
-
-    series: SeriesView
-    over: str
-    colour: str
-
-
-@dataclass(frozen=True)
-class ReportParts:
-    """What a report is to hold.
-
-    Attributes:
-        names: names of the pages whose content it shows.
-        listed: summaries of the measurements.
-        model: the model; None: nothing of the model is shown but its state.
-        files, named: tables of the measurements, and path of the model in commands.
-        drawn: the plot of the page Compare, where the user chose how to draw it.
-        diagnosed: the diagnosis, and `rank` the candidate that is shown.
-        added: sections on the last addition.
-        state: what the page Explore shows.
-        daemon: what the page Live shows.
-    """
-
-    names: tuple[str, ...]
-    listed: tuple[Summary, ...] = ()
-    model: "Model | None" = None
-    files: tuple[Path, ...] = ()
-    named: Path | None = None
-    drawn: DrawnPlot | None = None
-    diagnosed: DiagnosisView | None = None
-    rank: int = 1
-    added: "Sequence[Section]" = ()
-    state: "MachineState | None" = None
-    daemon: "DaemonMoment | None" = None
-
-    def is_as(self, other: "ReportParts") -> bool:
-        """Whether a report of the one is a report of the other, too: the same objects, drawn in the same way."""
-        one, two = (
-            (p.names, p.listed, p.files, p.rank, p.drawn and (p.drawn.over, p.drawn.colour)) for p in (self, other)
-        )
-        series = [p.drawn.series if p.drawn else None for p in (self, other)]
-        kept = all(getattr(self, k) is getattr(other, k) for k in ("model", "diagnosed", "state", "daemon"))
-        return one == two and series[0] is series[1] and kept
-
-
-def report(line: Reporter, parts: ReportParts) -> ReportFiles:
-    """Draw a report of what pages show, with its figures."""
-    from rtec.report.page import Page, render
-    from rtec.studio.pdf import pdf_of
-
-    line.stage("drawing the report", 0, 0)
-    titles: list[str] = []
-    leads: list[str] = []
-    numbers: list[tuple[str, str]] = []
-    sections: list[Section] = []
-    foot: list[str] = []
-    if parts.listed:
-        titles.append("Measurements")
-        sections.append(_listed_section(parts.listed))
-    if parts.model is not None:
-        names = tuple(Path(f.name) for f in ((parts.named or Path("model.toml")), *parts.files))
-        titles.insert(0, f"{parts.model.name} on {', '.join(f.stem for f in names[1:])}")
-        for page in _model_pages(line, parts, names):
-            leads.append(page.lead)
-            numbers += page.numbers
-            sections += page.sections
-            foot += page.foot
-    if parts.state is not None:
-        from rtec.report.machine_state import machine_state_sections, state_sentence
-
-        titles.append(f"{parts.state.model.name} in one state")
-        leads.append(state_sentence(parts.state))
-        sections += machine_state_sections(parts.state)
-    if parts.daemon is not None:
-        from rtec.report.daemon import daemon_lead, daemon_sections
-
-        titles.append(f"{parts.daemon.status['machine']}, running")
-        leads.append(daemon_lead(parts.daemon))
-        sections += daemon_sections(parts.daemon)
-    made = Page(titles[0] if titles else "Report", "\n".join(filter(None, leads)), numbers, sections,
-                list(dict.fromkeys(foot)))  # fmt: skip
-    return ReportFiles(render(made).encode(), pdf_of(made))
-
-
-def _listed_section(listed: Sequence[Summary]) -> "Section":
-    """The measurements, as the page Measurements lists them."""
-    from rtec.report.page import Section, Table
-
-    rows = [
-        (s.file, s.read_by, str(s.runs), str(s.rows), "; ".join(s.spans), "; ".join((*s.temperatures, *s.notes)))
-        for s in listed
-    ]
-    head = ("file", "instrument", "runs", "readings", "span", "temperatures, remarks")
-    return Section("The chosen measurements", [], Table(head, rows, words=(0, 1, 4, 5)))
-
-
-def _model_pages(line: Reporter, parts: ReportParts, names: "tuple[Path, ...]") -> "Iterator[Page]":
-    """Pages on the model: comparison, diagnosis, additions, as far as they are to be shown."""
-    from rtec.report.history import history_sections
-    from rtec.report.page import Page
-
-    if parts.model is None:
-        return
-    if "compare" in parts.names:
-        compared = replace(rtec.compare(parts.model, parts.files, progress=line.stage), files=names).page()
-        line.stage("drawing the report", 0, 0)
-        if parts.drawn is not None:
-            compared = replace(compared, sections=[_drawn_section(parts.drawn), *compared.sections])
-        yield compared
-    if parts.diagnosed is not None:
-        found = parts.diagnosed.found.page()
-        yield replace(found, numbers=(), sections=[*found.sections, *_candidate_sections(parts)], foot=())
-    if "add" in parts.names:
-        yield Page("", "", (), [*parts.added, *history_sections(parts.model, True)])
-
-
-def _drawn_section(plot: DrawnPlot) -> "Section":
-    """The residual as the page Compare draws it."""
-    from rtec.report.compare_figures import over_channel
-    from rtec.report.page import Figure, Section
-
-    s = plot.series
-    shade = (plot.colour, s.channels[plot.colour]) if plot.colour else None
-    png = over_channel(s.name, s.unit, plot.over, s.channels[plot.over], s.residuals, s.direction, s.floor, shade)
-    by = f", coloured by {plot.colour}" if plot.colour else ""
-    words = f"The residual over {plot.over}{by}"
-    return Section(words, [], None, Figure("drawn.png", png, words))
-
-
-def _candidate_sections(parts: ReportParts) -> "list[Section]":
-    """The curve of the candidate that is shown, where it is another than that of the diagnosis itself."""
-    from rtec.report.diagnosis import evidence_figure
-    from rtec.report.page import Figure, Section
-
-    view = parts.diagnosed
-    if view is None or parts.rank <= 1 or parts.rank not in view.curves:
-        return []
-    f = next(f for f in view.found.findings if f.rank == parts.rank)
-    heading = f"Candidate {f.rank}, {f.label}: residual and fitted effect"
-    return [Section(heading, [], None, Figure("candidate.png", evidence_figure(view.curves[parts.rank]), heading))]

@@ -1,8 +1,4 @@
-"""The figures of the pages, from arrays to Plotly's format; colours are names that the theme resolves.
-
-Of very many readings only a part is drawn, which looks the same as all of them. All count in the numbers, and zooming
-in draws more of the visible ones.
-"""
+"""The figures of the pages, from arrays to Plotly's format; colours are names that the theme resolves."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -10,21 +6,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.report.thinning import MOST, by_place, cells_of, drawn, line_ends
 from rtec.text import clean
 
 if TYPE_CHECKING:
     from rtec.report.evidence import Evidence
-    from rtec.studio.tasks import OutlierView, SeriesView
+    from rtec.tasks.model import OutlierView, SeriesView
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Figure = dict[str, Any]
-Box = tuple[tuple[float, float], tuple[float, float]]
 
-MOST, EVENLY = 7_000, 3_000
-"""Largest number of drawn readings; of these, the number that is drawn at random, to show their density."""
-ACROSS, UP = 96, 40
-"""Number of cells of a plot, each a little larger than a marker; every cell with readings has at least one drawn."""
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
 SCALE: Final = ((0.0, "#3d7fd6"), (0.5, "#a87aa8"), (1.0, "#d9760b"))
 """From the least to the most; seen on light and on dark paper."""
@@ -32,43 +24,10 @@ FEW, LARGE, SMALL = 2_000, 9, 6
 """Up to this many readings have large markers; sizes of large and small markers."""
 SINGLY = 1_000
 """Up to this many readings are drawn as SVG: WebGL starts slowly, and a browser has only 16 contexts for it."""
-CELLS, LEAST = 24, 3
-LINE = 300
-"""Number of parts of a temperature's line; the lowest and the highest value of each are drawn."""
 WAYS = 2
 FEW_BARS = 3
 """Of fewer, each is thin: one alone would fill the plot."""
 DIGITS = 5
-
-
-def drawn(series: "SeriesView", over: Floats, up: Floats, box: Box | None = None) -> Ints:
-    """Rows of the drawn readings, rising, (k,): in each small cell of the plot the one with the largest residual.
-
-    This keeps the outline of the cloud and every isolated reading. Further ones are chosen at random, the same in every
-    plot of a series.
-
-    Args:
-        series: the reading column.
-        over, up: horizontal and vertical values, (n,).
-        box: visible ends of both; None for all.
-    """
-    inside = np.isfinite(over) & np.isfinite(up)
-    for values, ends in zip((over, up), box or (), strict=False):
-        inside &= (values >= min(ends)) & (values <= max(ends))
-    rows = np.flatnonzero(inside)
-    if len(rows) <= MOST:
-        return rows
-    cell = _part_of(over[rows], ACROSS) * UP + _part_of(up[rows], UP)
-    outward = np.lexsort((np.abs(series.residuals[rows]), cell))  # the largest of a cell is the last one
-    last = np.append(np.diff(cell[outward]) > 0, True)
-    evenly = np.random.default_rng(0).permutation(len(series)) * len(rows) < EVENLY * len(series)
-    return np.union1d(rows[outward[last]], rows[evenly[rows]])
-
-
-def _part_of(values: Floats, parts: int) -> Ints:
-    """Index of each value's part among `parts` equal parts of the range, (n,)."""
-    low, wide = float(values.min()), float(np.ptp(values)) or 1.0
-    return np.minimum(((values - low) * (parts / wide)).astype(np.int64), parts - 1)
 
 
 def text(words: str) -> str:
@@ -119,6 +78,7 @@ def axis(title: str, **more: Any) -> Figure:
         "zerolinecolor": "@muted",
         "linecolor": "@muted",
         "automargin": True,
+        "uirevision": title,  # the zoom of one quantity is none of another
     }
     return base | more
 
@@ -173,7 +133,7 @@ def residual_over(
     """
     x = s.channels[over]
     y = s.residuals if what == "residual" else s.measured
-    rows = drawn(s, x, y) if chosen is None else chosen
+    rows = drawn(s.residuals, x, y) if chosen is None else chosen
     traces: list[Figure] = []
     if colour and colour in s.channels:
         shade = {
@@ -230,21 +190,6 @@ def _predicted(s: "SeriesView", x: Floats) -> list[Figure]:
     return out
 
 
-def by_place(x: Floats, y: Floats, most: int = 120) -> tuple[Floats, Floats]:
-    """Mean at each place, or in intervals where there are many places, (k,) each."""
-    good = np.isfinite(x) & np.isfinite(y)
-    x, y = x[good], y[good]
-    if not len(x):
-        return x, y
-    levels, code = np.unique(np.round(x, 2), return_inverse=True)
-    if len(levels) > most:
-        edges = np.linspace(float(x.min()), float(x.max()), most + 1)
-        code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, most - 1)
-    count = np.bincount(code)
-    full = count > 0
-    return tuple(np.bincount(code, weights=v)[full] / count[full] for v in (x, y))  # type: ignore[return-value]
-
-
 def over_time(s: "SeriesView", rows: Ints) -> Figure:
     """The residual of some readings over time, with the temperatures below."""
     title = next(t for t in s.channels if t.startswith("time "))
@@ -252,7 +197,7 @@ def over_time(s: "SeriesView", rows: Ints) -> Figure:
     traces = [_points(s, rows, x, s.residuals, "residual", color="@c3")]
     for k, name in enumerate(s.sensors):
         line = {"color": PALETTE[k % 8], "width": 2, "dash": ("solid", "dash", "dot")[k // 8 % 3]}
-        thin = _ends(s.channels[name])
+        thin = line_ends(s.channels[name])
         traces.append(
             {
                 "type": "scatter",
@@ -276,29 +221,11 @@ def over_time(s: "SeriesView", rows: Ints) -> Figure:
     return {"data": traces, "layout": whole}
 
 
-def _ends(values: Floats) -> Ints:
-    """Rows of the lowest and the highest value of each part of a line, rising; all of a short one."""
-    if len(values) <= 2 * LINE:
-        return np.arange(len(values))
-    parts = np.array_split(np.where(np.isfinite(values), values, values[np.isfinite(values)][:1].sum()), LINE)
-    first = np.cumsum([0, *map(len, parts[:-1])])
-    ends = [[k + p.argmin(), k + p.argmax()] for k, p in zip(first, parts, strict=True)]
-    return np.unique(np.array(ends, dtype=np.int64))
-
-
 def residual_map(s: "SeriesView", across: str, up: str) -> Figure:
     """Mean residual in each cell of two channels."""
-    x, y, left = s.channels[across], s.channels[up], s.residuals
-    cuts = [np.linspace(float(v.min()), float(v.max()), _cells(v) + 1) for v in (x, y)]
-    code = [np.clip(np.searchsorted(c, v, side="right") - 1, 0, len(c) - 2) for c, v in zip(cuts, (x, y), strict=True)]
-    width = len(cuts[0]) - 1
-    cell = code[1] * width + code[0]
-    size = width * (len(cuts[1]) - 1)
-    count = np.bincount(cell, minlength=size)
-    with np.errstate(invalid="ignore"):
-        mean = np.where(count >= LEAST, np.bincount(cell, weights=left, minlength=size) / np.maximum(count, 1), np.nan)
+    cuts, mean = cells_of(s.channels[across], s.channels[up], s.residuals)
     most = max(float(np.nanmax(np.abs(mean), initial=0.0)), s.floor, 1e-9)
-    grid = [numbers(row) for row in mean.reshape(-1, width)]
+    grid = [numbers(row) for row in mean]
     middles = [0.5 * (c[1:] + c[:-1]) for c in cuts]
     data = [
         {
@@ -315,10 +242,6 @@ def residual_map(s: "SeriesView", across: str, up: str) -> Figure:
         }
     ]
     return {"data": data, "layout": layout(xaxis=axis(across), yaxis=axis(up), dragmode="zoom")}
-
-
-def _cells(v: Floats) -> int:
-    return int(min(CELLS, max(len(np.unique(np.round(v, 2))), 1)))
 
 
 def polar(s: "SeriesView", angle_rad: Floats, rows: Ints) -> Figure:
@@ -465,10 +388,17 @@ def staircase(names: Sequence[str], errors: Sequence[float], floor: float | None
         f"residual on held-out runs, {unit}",
         type="log",
         range=[float(np.log10(low / 1.5)), float(np.log10(high * 1.6))],
+        fixedrange=True,
         tickvals=ticks,
         ticktext=[f"{v:g}" for v in ticks],
     )
-    across = axis("", tickvals=places, ticktext=[_broken(n) for n in names], range=[-0.4, max(len(names) - 0.2, 1.5)])
+    across = axis(
+        "",
+        fixedrange=True,
+        tickvals=places,
+        ticktext=[_broken(n) for n in names],
+        range=[-0.4, max(len(names) - 0.2, 1.5)],
+    )
     return {"data": traces, "layout": layout(xaxis=across, yaxis=up, dragmode=False)}
 
 
@@ -499,5 +429,5 @@ def bars(rows: Mapping[str, float], units: Mapping[str, str], title: str, words:
     }
     return {
         "data": [trace],
-        "layout": layout(xaxis=axis(title), yaxis=axis("", automargin=True), dragmode=False),
+        "layout": layout(xaxis=axis(title, fixedrange=True), yaxis=axis("", fixedrange=True), dragmode=False),
     }

@@ -28,8 +28,8 @@ GAP_IN: Final = 0.15
 """Space above a heading."""
 SMALLEST: Final = 0.7
 """Smallest scale of a picture that is shrunk to fit on a page."""
-FEW: Final = 6
-"""Up to this many lines are kept with the table or picture below them; up to this many rows of a table together."""
+FEW, TOGETHER = 6, 24
+"""Up to so many lines are kept with the table or picture below them; up to so many lines of a table are on one page."""
 POINTS_PER_IN, WORDS_WIDE, MONO_WIDE = 72.0, 0.52, 0.602
 """Mean width of a letter, and width of a monospaced one, in font sizes."""
 
@@ -57,6 +57,7 @@ class _Item:
         words, style: of a line.
         picture: of a picture.
         keep: whether the next item is on the same page.
+        head: of a row of a table: the lines of its head, which a page repeats that begins with this row.
     """
 
     high_in: float
@@ -64,6 +65,7 @@ class _Item:
     style: tuple[tuple[str, Any], ...] = ()
     picture: Pixels | None = None
     keep: bool = False
+    head: "tuple[_Item, ...]" = ()
 
     @property
     def least_in(self) -> float:
@@ -92,6 +94,8 @@ def _section(section: Section) -> list[_Item]:
     if section.table is not None:
         out += _table(section.table)
     if section.figure is not None:
+        if section.table is not None:
+            out.append(_Item(GAP_IN))
         picture = _picture(section.figure.png)
         out.append(_Item(_height_in(picture), picture=picture))
     return out
@@ -114,17 +118,21 @@ def _table(table: Table) -> list[_Item]:
     most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (MONO_WIDE * CELL))
     while sum(widths) + 2 * (len(widths) - 1) > most and max(widths) > 8:
         widths[widths.index(max(widths))] -= 1
-    out = []
-    for number, row in enumerate(rows):
-        cells = [wrap(c, w) or [""] for c, w in zip(row, widths, strict=True)]
+    out: list[_Item] = []
+    head: tuple[_Item, ...] = ()
+    lines = [[wrap(c, w) or [""] for c, w in zip(row, widths, strict=True)] for row in rows]
+    together = sum(max(map(len, cells)) for cells in lines) <= TOGETHER
+    for number, cells in enumerate(lines):
         high = max(map(len, cells))
         for k in range(high):
             parts = [c[k] if k < len(c) else "" for c in cells]
             shown = [p.ljust(w) if i in table.words else p.rjust(w)
                      for i, (p, w) in enumerate(zip(parts, widths, strict=True))]  # fmt: skip
-            # A row, the head with the first row, and a short table are on one page.
-            keep = number == 0 or k < high - 1 or number < len(rows) - 1 <= FEW
-            out.append(_line("  ".join(shown).rstrip(), CELL, keep=keep, family="monospace"))
+            # A row, the head with the first row, and a short table with its caption are on one page.
+            keep = number == 0 or k < high - 1 or (together and (number < len(rows) - 1 or bool(table.caption)))
+            line = _line("  ".join(shown).rstrip(), CELL, keep=keep, family="monospace")
+            out.append(replace(line, head=head if k == 0 else ()))
+        head = head or tuple(out)
     return [*out, *(_text(table.caption, CELL) if table.caption else [])]
 
 
@@ -132,14 +140,16 @@ def _sheets(items: list[_Item]) -> list[list[_Item]]:
     """The items of each page."""
     room, out, first = HIGH_IN - 2.0 * EDGE_IN, [], 0
     while first < len(items):
-        end, used = first, 0.0
+        head = items[first].head if first else ()
+        end, used = first, sum(item.high_in for item in head)
         while end < len(items) and (used := used + items[end].least_in) <= room:
             end += 1
         last = end
         while end < len(items) and end > first and items[end - 1].keep:
             end -= 1  # what is kept with the next one goes there with it
         end = max(end if end > first else last, first + 1)
-        out.append(items[first:end])
+        # The rows of a table that goes on have its head above them; its first row has it anyhow.
+        out.append([*(head if items[first - 1] not in head else ()), *items[first:end]])
         first = end
     return out
 

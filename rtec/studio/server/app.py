@@ -13,18 +13,18 @@ from fastapi import FastAPI
 from nicegui import Client, background_tasks, events, ui
 from nicegui import app as pages_app
 
-from rtec.studio import jobs
-from rtec.studio.address import BESIDE, PAGES
-from rtec.studio.folder import Folder
-from rtec.studio.jobs import Job
-from rtec.studio.parts import Words, button, from_home, trouble
-from rtec.studio.session import TabSession
+from rtec.studio.parts.controls import Words, button, from_home, trouble
+from rtec.studio.parts.session import TabSession
+from rtec.studio.server.address import BESIDE, PAGES
+from rtec.tasks import jobs
+from rtec.tasks.folder import Folder
+from rtec.tasks.jobs import Job
 from rtec.text import clean, clean_lines
 from rtec.wording import counted
 
 if TYPE_CHECKING:
     from rtec.control.messages import Role
-    from rtec.studio.live import LiveLink
+    from rtec.tasks.daemon import LiveLink
 
 MOST_TABS: Final = 32
 WARM_UP_S: Final = 0.5
@@ -37,7 +37,7 @@ WENT: Final = "went"
 TELL_OF_BACK: Final = f'window.addEventListener("popstate", () => emitEvent("{WENT}", location.pathname))'
 LOAD_PLOTS: Final = '(window.requestIdleCallback ?? setTimeout)(() => import("nicegui-plotly"))'
 """Loads what draws the plots while the browser has nothing else to do: it takes about a second on a slow computer."""
-STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
+STYLE: Final = resources.files("rtec.studio.parts").joinpath("studio.css")
 
 
 class Studio:
@@ -176,7 +176,8 @@ class _Frame:
         self._show_names()
         for key, link in self._links.items():
             here = key == self._name
-            link.classes(add="here" if here else "", remove="" if here else "here")
+            marked = here or (key == "measurements" and self._name in BESIDE)
+            link.classes(add="here" if marked else "", remove="" if marked else "here")
             link.props('aria-current="page"' if here else "", remove="" if here else "aria-current")
         with self._client:
             self._main.clear()
@@ -254,7 +255,7 @@ def made(folder: Path, attach: Path | None, role: "Role") -> FastAPI:
     """
     link = None
     if attach is not None:
-        from rtec.studio.live import LiveLink
+        from rtec.tasks.daemon import LiveLink
 
         link = LiveLink(attach, role)
 

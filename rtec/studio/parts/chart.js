@@ -21,15 +21,17 @@ function colours(value, style) {
 
 export default {
   template: `<div class="chart" role="img"></div>`,
-  props: { options: Object },
+  // `view`: what the user changed of its layout on an earlier visit; `brushed`: readings that were marked then.
+  props: { options: Object, view: Object, brushed: Array },
   created() {
     this.drawn = new Promise((done) => { this.begin = done; });
   },
   async mounted() {
     const { Plotly } = await import("nicegui-plotly");
     this.Plotly = Plotly;
+    if (!charts.size) marked = this.brushed?.length ? new Set(this.brushed) : null; // another page, or other readings
     // One after the other, each shown before the next is drawn.
-    await (turn = turn.then(() => this.$el.isConnected && this.draw()).then(shown, shown));
+    await (turn = turn.then(() => this.$el.isConnected && this.begun()).then(shown, shown));
     if (!this.$el.isConnected) return;
     charts.add(this);
     this.listen();
@@ -48,7 +50,6 @@ export default {
   },
   unmounted() {
     charts.delete(this);
-    if (!charts.size) marked = null; // another page, or other readings
     this.resized?.disconnect();
     this.themed?.disconnect();
     if (this.Plotly) this.Plotly.purge(this.$el);
@@ -60,6 +61,8 @@ export default {
     styled() {
       const { data, layout } = colours(this.moved ?? this.options, getComputedStyle(document.body));
       for (const trace of data) if (trace.ids && marked !== null) trace.selectedpoints = this.lit(trace);
+      // Plotly writes the part in sight into the ranges that it is given.
+      for (const axis of [layout.xaxis, layout.yaxis]) if (axis?.range) axis.range = [...axis.range];
       // Without the box that was drawn: Plotly would select by it again, in its own plot only.
       Object.assign(layout, { selections: [], selectionrevision: marks });
       // As many dots as the screen has; Plotly's own are twice as fine each way, and cost four times as much to draw.
@@ -71,6 +74,11 @@ export default {
       const { data, layout, config } = this.styled();
       this.forget();
       return this.Plotly.react(this.$el, data, layout, config);
+    },
+    async begun() {
+      await this.draw();
+      // As if the user did it now, so that a double click leads back to the whole plot.
+      if (this.view) await this.Plotly.relayout(this.$el, this.view);
     },
     listen() {
       const ids = (event) => (event?.points ?? []).map((p) => p.data.ids ? Number(p.data.ids[p.pointIndex]) : NaN)
@@ -87,10 +95,16 @@ export default {
       });
       this.$el.on("plotly_click", (event) => { const found = ids(event); if (found.length) this.$emit("reading", found[0]); });
       this.$el.on("plotly_relayout", (event) => {
-        const { xaxis, yaxis } = this.$el._fullLayout, changed = Object.keys(event).join();
+        const now = this.$el._fullLayout, changed = Object.keys(event).join();
         this.forget();
-        if (/[xy]axis\.range/.test(changed)) this.$emit("zoom", [...xaxis.range, ...yaxis.range]);
-        else if (/[xy]axis\.autorange/.test(changed)) this.$emit("zoom", null);
+        if (/^scene\.camera/.test(changed)) {
+          const own = this.$el.layout.scene.camera ?? {}, plain = now.scene.camera; // Plotly's own where it was reset
+          this.$emit("camera", ["eye", "center", "up"].map((k) => own[k] ?? plain[k]).map(({ x, y, z }) => [x, y, z]));
+        }
+        if (!/(^|,)[xy]axis2?\.(auto)?range/.test(changed)) return;
+        const whole = (name) => this.options.layout[name]?.range?.join() === now[name].range.join();
+        const cut = ["xaxis", "yaxis", "yaxis2"].filter((name) => now[name] && !now[name].autorange && !whole(name));
+        this.$emit("zoom", Object.fromEntries(cut.map((name) => [name.replace("axis", ""), now[name].range])));
       });
       this.$el.addEventListener("keydown", (event) => {
         const far = STEPS[event.key] ?? PAGES[event.key];
@@ -148,7 +162,7 @@ export default {
       await this.drawn; // a slow PC draws the plots before it first
       this.$el.dataset.moved = "no";
       this.moved = options; // what a change of the theme draws
-      const target = colours(options, getComputedStyle(document.body));
+      const target = colours(options, getComputedStyle(document.body)); // its layout is not drawn
       const from = this.$el.data.map((t) => Array.from(t.y ?? []));
       const moving = target.data.map((t, k) => k).filter((k) => from[k]?.length && from[k].length === target.data[k].y.length);
       const end = () => { this.$el.dataset.moved = "yes"; };

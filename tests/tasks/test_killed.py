@@ -9,7 +9,7 @@ import pytest
 
 import rtec
 from rtec.model import Model, save_model
-from rtec.studio.folder import Folder
+from rtec.tasks.folder import Folder
 from tests.studio.studio_rig import MACHINE
 
 KILLED = """
@@ -17,7 +17,7 @@ import os, signal, sys
 from pathlib import Path
 import rtec
 from rtec.model import save_model
-from rtec.studio.folder import Folder
+from rtec.tasks.folder import Folder
 folder, what, when = Path(sys.argv[1]), sys.argv[2], sys.argv[3]
 model = rtec.load_model(folder / "model.toml", folder / "machine.toml")
 def die(*_, **__):

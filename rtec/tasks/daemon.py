@@ -5,9 +5,8 @@ sparklines.
 """
 
 import asyncio
-import tomllib
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,12 +24,27 @@ MINUTES, HOURS = 600, 1440
 """Number of stored points, one a second and one a minute."""
 
 
+def limits_of(config: Path) -> dict[str, tuple[float, float]]:
+    """Limits by axis, µm: correction above which it is flagged, and above which it is not followed.
+
+    They are read as the daemon reads them; a run file that it would refuse has none.
+    """
+    from rtec.loop.run_file import load_setup
+
+    try:
+        limits = load_setup(config, needs_model=False).file.limits
+    except RtecError:
+        return {}
+    return {axis: (each.warning_um, each.stop_um) for axis, each in limits.items()}
+
+
 class LiveLink:
     """The connection to a daemon.
 
     Attributes:
         config: its run file; `role` has the rights of the pages.
         status: its newest answer; None before the first, or while it does not answer (`trouble` has the reason).
+        limits_um: by axis: correction above which it is flagged, and above which it is not followed.
         minutes, hours: points of the sparklines.
 
     Args:
@@ -42,24 +56,18 @@ class LiveLink:
         self.config, self.role = config, role
         self.status: dict[str, Any] | None = None
         self.trouble = "not asked yet"
+        self.limits_um: Mapping[str, tuple[float, float]] = {}
+        self._read_ns = -1
         self.minutes: deque[Moment] = deque(maxlen=MINUTES)
         self.hours: deque[Moment] = deque(maxlen=HOURS)
         self._looking: dict[int, Callable[[], None]] = {}
         self._client: Client | None = None
 
-    def limits(self) -> dict[str, tuple[float, float]]:
-        """Limits by axis, µm: correction above which it is flagged, and above which it is not followed."""
-        try:
-            tables = tomllib.loads(self.config.read_text(encoding="utf-8")).get("limits", {})
-            return {axis: (float(t["warning_um"]), float(t["stop_um"])) for axis, t in tables.items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            return {}
-
     def moment(self) -> DaemonMoment | None:
         """The daemon as it is now, for a report; None while it does not answer."""
         if self.status is None:
             return None
-        return DaemonMoment(wall_clock_iso(), self.status, self.limits(), tuple(self.minutes), tuple(self.hours))
+        return DaemonMoment(wall_clock_iso(), self.status, self.limits_um, tuple(self.minutes), tuple(self.hours))
 
     def look(self, key: int, changed: Callable[[], None]) -> None:
         """Register a callback that is called after each new status."""
@@ -97,7 +105,17 @@ class LiveLink:
     def _ask(self) -> dict[str, Any]:
         if self._client is None:
             self._client = self._connected()
+        self._look_at_limits()
         return self._client.status()
+
+    def _look_at_limits(self) -> None:
+        """Read the run file's limits again if it was changed: the daemon may have reloaded it."""
+        try:
+            changed_ns = self.config.stat().st_mtime_ns
+        except OSError:
+            return
+        if changed_ns != self._read_ns:
+            self.limits_um, self._read_ns = limits_of(self.config), changed_ns
 
     def _connected(self) -> Client:
         client = Client(find(self.config, None, None))

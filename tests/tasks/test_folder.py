@@ -9,7 +9,7 @@ import rtec
 from rtec.cli.main import status
 from rtec.errors import RtecError
 from rtec.model import Model
-from rtec.studio.folder import Folder
+from rtec.tasks.folder import Folder
 from tests.studio.studio_rig import MACHINE
 
 

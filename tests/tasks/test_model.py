@@ -7,7 +7,7 @@ import pytest
 
 import rtec
 from rtec.cli.main import status
-from rtec.studio import tasks
+from rtec.tasks import model as model_tasks
 from tests.studio.studio_rig import MACHINE, simulated
 
 
@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_view_of_a_comparison_is_the_comparison(folder: Path) -> None:
     """Residuals, floor and facts are those of `rtec.compare`; every wrong reading is where its row is in the table."""
     model, file = rtec.load_model(folder / "m.toml", MACHINE), folder / "laser.csv"
-    view = tasks.compare(Silent(), model, [file], folder / "m.toml")
+    view = model_tasks.compare(Silent(), model, [file], folder / "m.toml")
     known = rtec.compare(model, [file])
     assert view.facts == known.to_dict()
     (series,) = view.series
@@ -67,12 +67,12 @@ def test_of_very_many_readings_the_residual_comes_before_its_noise(
     """Oracles: `rtec.compare`'s residual; the stages of the work, of which the noise and the regions come later."""
     model, file = rtec.load_model(folder / "m.toml", MACHINE), folder / "laser.csv"
     few, many = Asked(), Asked()
-    tasks.compare(few, model, [file], folder / "m.toml")
+    model_tasks.compare(few, model, [file], folder / "m.toml")
     assert few.asked == []
-    monkeypatch.setattr(tasks, "MANY", 1)
-    view = tasks.compare(many, model, [file], folder / "m.toml")
+    monkeypatch.setattr(model_tasks, "MANY", 1)
+    view = model_tasks.compare(many, model, [file], folder / "m.toml")
     ((told, before),) = many.asked
-    assert isinstance(told, tasks.ResidualKnown)
+    assert isinstance(told, model_tasks.ResidualKnown)
     assert before == many.stages[: len(before)]
     assert [s for s in before if s.startswith("finding the noise")] == []
     assert [s for s in many.stages if s.startswith("finding the noise")] != []
@@ -87,7 +87,7 @@ def test_a_measurement_that_cannot_be_read_says_why_in_the_list(folder: Path, tm
     for end in (".csv", ".toml"):
         (tmp_path / f"good{end}").write_bytes((folder / f"laser{end}").read_bytes())
         (tmp_path / f"bad{end}").write_bytes((folder / f"laser{end}").read_bytes().replace(b"time_s", b"tyme_s"))
-    good, bad = tasks.summaries(Silent(), tmp_path, ["good.csv", "bad.csv"], MACHINE)
+    good, bad = model_tasks.summaries(Silent(), tmp_path, ["good.csv", "bad.csv"], MACHINE)
     assert (good.instrument, good.axis, good.runs, good.trouble) == ("laser_linear", "X", 27, "")
     assert good.span["X"][1] - good.span["X"][0] == pytest.approx(186.4, abs=30.0)
     assert "time_s" in bad.trouble
@@ -96,9 +96,11 @@ def test_a_measurement_that_cannot_be_read_says_why_in_the_list(folder: Path, tm
 def test_a_preview_takes_what_the_expression_explains(folder: Path) -> None:
     """Oracle: the hidden play, of which `B*d_x` is the exact shape; and a sentence for what cannot be read."""
     model = rtec.load_model(folder / "m.toml", MACHINE)
-    request = tasks.EffectRequest("", "EXX", (), "B*d_x", ())
-    shown = tasks.preview(Silent(), model, request, [folder / "laser.csv"])
+    request = model_tasks.EffectRequest("", "EXX", (), "B*d_x", ())
+    shown = model_tasks.preview(Silent(), model, request, [folder / "laser.csv"])
     removed = float(shown.words.split("removes ")[1].split(" %")[0])
     assert removed > 90.0
     with pytest.raises(rtec.RtecError, match="nonsense"):
-        tasks.preview(Silent(), model, tasks.EffectRequest("", "EXX", (), "A*nonsense(x)", ()), [folder / "laser.csv"])
+        model_tasks.preview(
+            Silent(), model, model_tasks.EffectRequest("", "EXX", (), "A*nonsense(x)", ()), [folder / "laser.csv"]
+        )

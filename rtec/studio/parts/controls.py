@@ -13,8 +13,8 @@ from nicegui.elements.mixins.text_element import TextElement
 from nicegui.elements.mixins.validation_element import ValidationElement
 
 from rtec.errors import RtecError
-from rtec.studio.jobs import fault
-from rtec.studio.session import TabSession
+from rtec.studio.parts.session import TabSession
+from rtec.tasks.jobs import fault
 from rtec.text import clean_lines
 
 if TYPE_CHECKING:
@@ -98,9 +98,9 @@ def draft(session: TabSession, key: str, label: str, value: str = "", placeholde
     """
 
     def keep(event: events.ValueChangeEventArguments[str | None]) -> None:
-        session.view[key] = event.value or ""
+        session.drafts[key] = event.value or ""
 
-    made = ui.input(label, value=session.view.get(key, value), placeholder=placeholder, on_change=keep)
+    made = ui.input(label, value=session.drafts.get(key, value), placeholder=placeholder, on_change=keep)
     return at_fault(session, key, made.props("outlined"))
 
 

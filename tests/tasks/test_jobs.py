@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from rtec.errors import RtecError
-from rtec.studio import jobs
-from rtec.studio.jobs import Cancelled, Job, Reporter, _work
+from rtec.tasks import jobs
+from rtec.tasks.jobs import Cancelled, Job, Reporter, _work
 
 pytestmark = pytest.mark.xdist_group("studio")
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from rtec.report.figures import Png
 from rtec.report.page import Figure, Page, Section, Table
-from rtec.studio.pdf import pdf_of
+from rtec.report.pdf import pdf_of
 
 
 def _page(pictures: int) -> Page:
@@ -58,6 +58,25 @@ def test_a_wide_table_has_all_its_words(monkeypatch: pytest.MonkeyPatch) -> None
     assert all(line.startswith("row") for line in starts)
     said = [w for s in sheets for t in s.texts for w in t.get_text().split()]
     assert sum(w.startswith("word") for w in said) == 2 * 40 * 40
+
+
+def test_a_table_is_cut_only_where_it_must_be_and_has_its_head_on_every_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the rows: 18 go to the next page together; of 150 each page begins with the head."""
+    sheets: list[Any] = []
+    monkeypatch.setattr("matplotlib.backends.backend_pdf.PdfPages.savefig", lambda _, figure: sheets.append(figure))
+
+    def table(name: str, rows: int) -> Section:
+        return Section(name, [], Table(("input", "value"), [(f"{name}{k:03d}", "1") for k in range(rows)]))
+
+    pdf_of(replace(_page(2), sections=[*_page(2).sections, table("small", 18), table("large", 150)]))
+    lines = [[t.get_text() for t in s.texts] for s in sheets]
+    assert [sum("small" in line for line in page) for page in lines if any("small0" in line for line in page)] == [19]
+    shown = [page for page in lines if any("large0" in line or "large1" in line for line in page)]
+    assert len(shown) > 1
+    for page in shown:
+        rows = [k for k, line in enumerate(page) if line.startswith("large") and line != "large"]
+        assert page[rows[0] - 1].split() == ["input", "value"]
+    assert sum(line.split() == ["input", "value"] for page in lines for line in page) == 1 + len(shown)
 
 
 def test_the_same_report_gives_the_same_bytes() -> None:

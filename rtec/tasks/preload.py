@@ -18,7 +18,8 @@ import rtec.report.compare
 import rtec.report.diagnosis
 import rtec.report.history
 import rtec.sim.campaign.campaign
-import rtec.studio.tasks
+import rtec.tasks.foreign
+import rtec.tasks.model
 from rtec.effects.derived import direction_track
 
 __all__ = ["np", "pyarrow", "rtec", "scipy", "typer"]

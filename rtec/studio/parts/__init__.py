@@ -1,0 +1,1 @@
+"""What the pages are made of: the session of a tab, the actions on it, controls, plots."""

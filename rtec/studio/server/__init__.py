@@ -1,0 +1,1 @@
+"""The server of the pages: address, access, the application, and its start."""
