@@ -29,6 +29,8 @@ places by different amounts, a zero moves all equally."""
 NOISE, USUAL, OTHERS = 10.0, 5.0, 4.0
 """A jump is at least this many times the scatter between runs, this many times the usual step of the other runs, and
 makes the run this many times farther from both neighbouring runs than any other run is from its own."""
+VISIBLE = 0.5
+"""The search ends at a jump below this share of `NOISE` times the scatter: none stands out then."""
 RUNS_EACH, WAYS = 3, 4
 """Runs beyond the first two for each principal component of the temperatures; most of these components."""
 SEEN = 1e-6
@@ -127,13 +129,25 @@ class _Changes:
     heat: Floats
     runs: int
 
-    def of(self, jump: _Jump) -> Floats:
-        """Change that a jump makes, (pairs,)."""
-        return jump.by * (1.0 * jump.holds(self.after) - 1.0 * jump.holds(self.before))
+    def of(self, jumps: Sequence[_Jump]) -> Floats:
+        """Change that jumps make together, (pairs,)."""
+        zero = np.zeros(self.runs)
+        for j in jumps:
+            zero[j.first : j.last + 1] += j.by
+        return zero[self.after] - zero[self.before]
 
     def without(self, jumps: Sequence[_Jump]) -> "_Changes":
         """The same without some jumps."""
-        return replace(self, change=self.change - sum((self.of(j) for j in jumps), np.zeros(len(self.change))))
+        return replace(self, change=self.change - self.of(jumps))
+
+    @property
+    def scatter(self) -> float:
+        """Usual scatter of the changes into one run about their median."""
+        values = self.cold(self.change)
+        order = np.argsort(self.after, kind="stable")
+        runs = np.split(values[order], np.flatnonzero(np.diff(self.after[order])) + 1)
+        apart = [v - np.median(v) for v in runs if len(v) >= FEW_PLACES]
+        return 1.4826 * float(np.median(np.abs(np.concatenate(apart)))) if apart else 0.0
 
     def cold(self, values: Floats) -> Floats:
         """Values without what goes with the temperatures, (pairs,)."""
@@ -147,9 +161,10 @@ def _jumps(readings: Readings, s: Series) -> list[_Jump]:
         return []
     changes = _changes(readings, s)
     found: list[_Jump] = []
+    least = VISIBLE * NOISE * changes.scatter if len(changes.change) else 0.0
     while len(changes.change) and sum(j.last - j.first + 1 for j in found) < max(1.0, MOVED * runs):
         largest = _largest(changes.without(found), found)
-        if largest is None:
+        if largest is None or abs(largest.by) < least:
             return []
         found.append(largest)
         if all(_stands_out(changes.without([j for j in found if j is not one]), one) for one in found):
@@ -208,10 +223,10 @@ def _stands_out(changes: _Changes, jump: _Jump) -> bool:
     """Whether a jump is far larger than all that is between the other runs, and no zero that moved once and stayed."""
     before, after = changes.before, changes.after
     (once, _), whole = _explained(_sums(changes, after)), changes.cold(changes.change)
-    made = changes.cold(changes.of(jump))
+    made = changes.cold(changes.of([jump]))
     if float(np.sum((whole - made) ** 2)) > STAYED * (float(whole @ whole) - float(once.max())):
         return False
-    change = changes.cold(changes.change - changes.of(jump)) + changes.of(jump)
+    change = changes.cold(changes.change - changes.of([jump])) + changes.of([jump])
     outside = ~(jump.holds(before) & jump.holds(after))
     moved = [change[(after == k) & outside] for k in range(changes.runs)]
     left = [-change[(before == k) & outside] for k in range(changes.runs)]
