@@ -180,11 +180,15 @@ def tip_um(cause: Cause, circle: CircleTest, origin: CircleTest, *, square: bool
     if cause.centre is not None and not square:
         out[:, setup.rows[cause.centre]] = -1.0
     fed = [] if shape is None else [(cause.component, shape)]
+    if not square:
+        fed += cause.also
+    if not fed:
+        return out
     first, second = setup.rows[:2]
     p, q = circle.on_circle_mm
     p = setup.centre_mm[first] - origin.setup.centre_mm[first] + p
     q = setup.centre_mm[second] - origin.setup.centre_mm[second] + q
-    for component, of in fed if square else [*fed, *cause.also]:
+    for component, of in fed:
         out += _arms(component, circle, origin) * of(At(circle, p, q))[:, None]
     return out
 

@@ -117,6 +117,12 @@ class CircleTest:
         return self.setup.radius_mm * np.cos(self.angle_rad), self.setup.radius_mm * np.sin(self.angle_rad)
 
     @cached_property
+    def apart_rad(self) -> Floats:
+        """Angle from the reading before, (n,); infinity where a run begins."""
+        apart = np.abs(np.diff(self.angle_rad, prepend=np.inf))
+        return np.where(np.diff(self.run, prepend=self.run[0]) != 0, np.inf, apart)
+
+    @cached_property
     def state(self) -> State:
         """The state for effects: positions, directions, velocities, accelerations, distance since the last reversal."""
         channels = circle_channels(self.machine, self.setup, self.angle_rad)

@@ -52,7 +52,7 @@ class AngleNoise:
     def _filter(self, circles: Sequence[CircleTest], columns: Floats) -> tuple[Floats, float]:
         out = np.ascontiguousarray(columns, dtype=np.float64).copy()
         white = np.concatenate([np.where(c.near_quadrant(self.window_deg), self.near**-2.0, 1.0) for c in circles])
-        return out, float(_whiten(out, _apart_rad(circles), white, self.share, self.way_rad))
+        return out, float(_whiten(out, np.concatenate([c.apart_rad for c in circles]), white, self.share, self.way_rad))
 
     def cost(self, circles: Sequence[CircleTest], columns: Floats, reading: Floats) -> float:
         """Minus twice the restricted log-likelihood, without terms that are the same for all noises."""
@@ -107,15 +107,6 @@ def find_noise(
 
 def _simplex(start: Floats) -> Floats:
     return np.asarray(start + np.diag([0.0, 1.0, 0.7])[:, 1:], dtype=np.float64)
-
-
-def _apart_rad(circles: Sequence[CircleTest]) -> Floats:
-    """Angle from the reading before, rad, (n,); infinity where a test or a run begins."""
-    out = []
-    for c in circles:
-        apart = np.abs(np.diff(c.angle_rad, prepend=np.inf))
-        out.append(np.where(np.diff(c.run, prepend=c.run[0]) != 0, np.inf, apart))
-    return np.concatenate(out)
 
 
 @njit
