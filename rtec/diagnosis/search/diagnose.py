@@ -180,6 +180,7 @@ class _Search:
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
         chain = self._without_instrument(chain)
+        unknown = None if self._doubted else unknown
         if accepted and named and pair is None and best is not None and not chain:
             chain = self._simple_ones(best, refitted)
         if chain:
@@ -267,8 +268,8 @@ class _Search:
     def _without_instrument(self, members: list[Refitted]) -> list[Refitted]:
         """Effects that are named together, less those that an instrument that warms up explains nearly as well.
 
-        None where the others are not significant beside the instrument: they only corrected what it explains. Where one
-        of them is a shift that no instrument explains, no instrument is in doubt.
+        None remains where the others are not significant beside the instrument: they only corrected what it explains.
+        Where one of them is a shift that no instrument explains, no instrument is in doubt.
         """
         start = before = self.refits.current.log_likelihood
         evidence, out, costs = 0.0, list[Refitted](), 0.0
@@ -293,7 +294,7 @@ class _Search:
         beside = self.refits.of_curves(curves[-1], 2, [t.columns for t in out])[0] - costs
         if beside - self.refits.of_curves(curves[-1], 2)[0] < len(out) * (self._prior_odds + SURE):
             return []
-        self._doubt_warm_up(instruments[0])
+        self._doubt_warm_up(instruments[0], fatal=not out)
         return self.refits.in_order(out)
 
     def _doubt_warm_up(self, t: Refitted, fatal: bool = False) -> None:
