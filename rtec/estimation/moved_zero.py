@@ -223,10 +223,11 @@ def _stands_out(changes: _Changes, jump: _Jump) -> bool:
     """Whether a jump is far larger than all that is between the other runs, and no zero that moved once and stayed."""
     before, after = changes.before, changes.after
     (once, _), whole = _explained(_sums(changes, after)), changes.cold(changes.change)
-    made = changes.cold(changes.of([jump]))
+    step = changes.of([jump])
+    made = changes.cold(step)
     if float(np.sum((whole - made) ** 2)) > STAYED * (float(whole @ whole) - float(once.max())):
         return False
-    change = changes.cold(changes.change - changes.of([jump])) + changes.of([jump])
+    change = whole - made + step
     outside = ~(jump.holds(before) & jump.holds(after))
     moved = [change[(after == k) & outside] for k in range(changes.runs)]
     left = [-change[(before == k) & outside] for k in range(changes.runs)]

@@ -10,6 +10,7 @@ from rtec.bench.trials import build
 from rtec.diagnosis.heat import lag_assumed
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.search.refit import WAVES, slow_slopes
 from rtec.diagnosis.search.screen import Bank, Projected, screen_all
 from rtec.effects import effect_class
 from rtec.estimation.candidates import library
@@ -179,3 +180,22 @@ def test_a_temperature_that_was_recorded_is_not_asked_for(seed: int) -> None:
     d = diagnose(model, [table(seed, recorded=True)], draws=50)
     assert "no_temperature" not in {doubt.kind for doubt in d.doubts}
     assert "Record temperatures" not in d.sentence
+
+
+def _runs_along_x(runs: int, memory_s: float) -> Whitener:
+    """Noise of so many runs over six places, whose drift has a memory."""
+    x, n = np.tile(np.linspace(10.0, 190.0, 6), runs), 6 * runs
+    channels = {"x": x, "d_x": np.ones(n)}
+    machine = small_machine()
+    made = make_instrument("laser_linear", {}, "X", None, machine, "iso")
+    times, numbers = 24.0 * np.arange(float(n)), np.repeat(np.arange(runs), 6)
+    m = Measurement("iso", made, machine, numbers, times, channels, {"reading_um": np.zeros(n)})
+    return Whitener(read([m]), (Noise(0.5, 1.0, memory_s, 0.0),), (np.zeros(0),))
+
+
+@pytest.mark.parametrize(("runs", "memory_s", "columns"), [(8, 1.0, 8), (200, 1.0, WAVES), (200, 1e6, 2)])
+def test_slopes_are_as_quick_as_the_memory_and_fit_a_long_record(runs: int, memory_s: float, columns: int) -> None:
+    """Oracle: a quick drift gives each of eight runs its slope, a slow one a straight line; many have a bound."""
+    slopes = slow_slopes(_runs_along_x(runs, memory_s))
+    assert slopes.shape == (6 * runs, columns)
+    assert np.linalg.matrix_rank(slopes) == columns

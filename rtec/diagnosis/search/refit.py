@@ -163,15 +163,15 @@ class _Search:
         return np.asarray(self.projected.left - white @ solve(white, self.projected.left))
 
 
-QUICKEST = 3.0
-"""A drift changes by half-waves down to its memory over this."""
+QUICKEST, WAVES = 3.0, 60
+"""A drift changes by half-waves down to its memory over the first; at most this many, so that long records fit."""
 
 
 def slow_slopes(noise: Whitener) -> Floats:
     """Columns of a slope along each axis that moves within runs, which changes as slowly as the drift, (m, p).
 
     Args:
-        noise: its drift of each series has a memory; a short one allows each run a slope of its own.
+        noise: its drift of each series has a memory; a short one allows each of few runs a slope of its own.
     """
     readings, out = noise.readings, []
     for s, n in zip(noise.readings.series, noise.noises, strict=True):
@@ -179,7 +179,7 @@ def slow_slopes(noise: Whitener) -> Floats:
         middle = np.stack([np.bincount(s.run, p) for p in places.T], axis=1) / np.bincount(s.run)[:, None]
         slopes = places - middle[s.run]
         slopes = slopes[:, np.sqrt(np.mean(slopes**2, axis=0)) > REAL["mm"]]
-        waves = min(int(s.run[-1]) + 1, math.ceil(QUICKEST * s.pace_s[0] / n.tau_s) + 1)
+        waves = min(int(s.run[-1]) + 1, math.ceil(QUICKEST * s.pace_s[0] / n.tau_s) + 1, WAVES)
         when = np.outer((s.time_s - s.time_s[0]) / s.pace_s[0], np.pi * np.arange(waves))
         own = (np.cos(when)[:, :, None] * slopes[:, None, :]).reshape(len(s), -1)
         whole = np.zeros((len(readings), own.shape[1]))
