@@ -18,7 +18,7 @@ from rtec.diagnosis.extend.add import (
     rivals_of,
 )
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
-from rtec.diagnosis.extend.temperatures import further_temperature, hardly_varied
+from rtec.diagnosis.extend.temperatures import further_temperatures, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
@@ -332,16 +332,16 @@ class _Growth:
 
     def _further(self, model: Model) -> Added | None:
         """A further temperature of an effect of the model, where it predicts held-out runs better."""
-        new = further_temperature(Judgement(model, self.given))
-        if new is None:
-            return None
-        try:
-            added = add(model, [new], self.measurements, stage=self.stage, given=self.given, own=self.own)
-        except ModelError:
-            return None
-        last = added.model.effects[-1]
-        known = all(abs(v) > DETERMINED * last.errors.get(n, 0.0) for n, v in last.values.items())
-        return replace(added, notes=(FURTHER, *added.notes)) if known and self._gains(added) else None
+        for new in further_temperatures(Judgement(model, self.given)):
+            try:
+                added = add(model, [new], self.measurements, stage=self.stage, given=self.given, own=self.own)
+            except ModelError:
+                continue
+            last = added.model.effects[-1]
+            known = all(abs(v) > DETERMINED * last.errors.get(n, 0.0) for n, v in last.values.items())
+            if known and self._gains(added):
+                return replace(added, notes=(FURTHER, *added.notes))
+        return None
 
     def _several(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
         """The model with the effects that are named together, in turn; one that gains nothing alone waits for the next.

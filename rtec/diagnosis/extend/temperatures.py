@@ -2,8 +2,9 @@
 
 A body without a sensor is between bodies that have one: it follows several temperatures, each with its own delay. The
 effect is already known, so a further temperature proves no cause: it must make the readings likelier and predict
-held-out runs better. Only effects along an axis get one. A shift that is equal at all positions cannot be
-distinguished from a drift of the instrument, and two temperatures fit any slow drift.
+held-out runs better. Effects along an axis get one, and those of the spindle, where heat also follows its speed. Other
+shifts that are equal at all positions cannot be distinguished from a drift of the instrument: two temperatures fit any
+slow drift.
 """
 
 import math
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.extend.add import is_there, new_effect
 from rtec.effects import Effect
-from rtec.effects.base import AxisEffect
+from rtec.effects.base import AxisEffect, Surroundings
+from rtec.effects.spindle import SpindleGrowth
 from rtec.estimation.candidates import surroundings, visible
 from rtec.estimation.gls import fit_columns, held_out
 from rtec.estimation.judge import Judgement
@@ -31,37 +33,47 @@ LIKELIER = math.log(50.0)
 """Least gain in log likelihood. The best of some fifty further temperatures gained at most 3.3 in 24 records that
 depend on only one temperature."""
 
+ALIKE = 3.0
+"""Gains in log likelihood within such a step are alike: then the error on held-out runs decides."""
+
 VARIED_DEGC, TRIMMED = 1.0, (0.01, 0.99)
 """Change of a temperature, between these quantiles, below which it is no further one: on another day it may differ by
 many times as much, and its number is known from this change only."""
 
 
-def further_temperature(judged: Judgement) -> FittedEffect | None:
-    """The temperature, by another sensor or with another delay, that best predicts held-out runs beside the model's.
+def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
+    """Temperatures, by other sensors or with other delays, that make the readings much likelier, the likeliest first.
+
+    Of those that are about as likely, the one that predicts held-out runs best comes first. Each sensor comes once with
+    and once without a delay: with the delay that best predicts held-out runs.
 
     Args:
         judged: the model, on its readings.
 
-    Returns:
-        A further copy of the effect, to be added; None where the model has no effect of a temperature along an axis, or
-        where a further one does not make the readings much likelier.
+    Yields:
+        A further copy of an effect of a temperature along an axis, to be added; it must predict held-out runs better,
+        too.
     """
     keep = looked_at(judged.readings)
     few = judged.readings.without(~keep)
-    offered = list(_offered(judged.model, few))
-    if not offered:
-        return None
     base, noise = judged.base.columns[keep], replace(judged.noise, readings=few)
     by = weights(few, noise, judged.left[keep])
-    columns = [few.columns(effect, theta) for effect, theta in offered]
-    squares = [held_out(by, np.concatenate([base, c], axis=1)).folds.sum() for c in columns]
-    best = int(np.argmin(squares))
-    effect, theta = offered[best]
-    # A temperature that hardly changed, far from the reference, would act like a shape that follows no temperature.
-    base = np.concatenate([base, few.at_constant(effect, theta, str(getattr(effect, "sensor", "")))], axis=1)
-    if _likelier(noise, base, columns[best]) < LIKELIER:
-        return None
-    return new_effect(effect, judged.model, theta)
+    best: dict[Effect, tuple[float, Mapping[str, float], Floats]] = {}
+    for effect, theta in _offered(judged.model, few):
+        columns = few.columns(effect, theta)
+        squares = float(held_out(by, np.concatenate([base, columns], axis=1)).folds.sum())
+        if effect not in best or squares < best[effect][0]:
+            best[effect] = squares, theta, columns
+    gains: dict[Effect, float] = {}
+    for effect, (_, theta, columns) in best.items():
+        # A temperature that hardly changed, far from the reference, would act like a shape that follows no temperature.
+        sensor = getattr(effect, "sensor", None)
+        still = few.at_constant(effect, theta, sensor) if sensor is not None else base[:, :0]
+        gains[effect] = _likelier(noise, np.concatenate([base, still], axis=1), columns)
+    most = max(gains.values(), default=0.0)
+    for effect in sorted(gains, key=lambda e: ((most - gains[e]) // ALIKE, best[e][0])):
+        if gains[effect] >= LIKELIER:
+            yield new_effect(effect, judged.model, best[effect][1])
 
 
 def hardly_varied(model: Model, effect: Effect, readings: Readings) -> bool:
@@ -77,25 +89,30 @@ def _varied(readings: Readings, sensor: str) -> bool:
 
 
 def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping[str, float]]]:
-    """Effects of a temperature along an axis, by every sensor and with every delay that the model lacks."""
+    """Effects of heat along an axis and of the spindle, from every source and with every delay that the model lacks."""
     seen = {c.name: c for c in visible(readings)}
     offered: list[Effect] = []
     for fitted in model.effects:
-        effect = fitted.effect
-        along = isinstance(effect, AxisEffect) and getattr(effect, "sensor", None) is not None
-        if not along or effect.component not in seen:
+        if fitted.effect.component not in seen:
             continue
-        for sensor in surroundings(readings, seen[effect.component]).sensors:
-            if not _varied(readings, sensor):
+        for other in _others(fitted.effect, surroundings(readings, seen[fitted.effect.component])):
+            sensor = getattr(other, "sensor", None)
+            if other in offered or (sensor is not None and not _varied(readings, sensor)):
                 continue
+            offered.append(other)
+            for theta in _values(FittedEffect(other, {}, fitted.theta), readings):
+                if not is_there(model, FittedEffect(other, {}, theta)):
+                    yield other, theta
+
+
+def _others(effect: Effect, around: Surroundings) -> Iterator[Effect]:
+    """The same effect from each source of heat, immediate and delayed."""
+    if isinstance(effect, SpindleGrowth):
+        yield from effect.suggest(around)
+    elif isinstance(effect, AxisEffect) and getattr(effect, "sensor", None) is not None:
+        for sensor in around.sensors:
             for late in _delays(effect):
-                other = effect.model_copy(update={"sensor": sensor, **late})
-                if other in offered:
-                    continue
-                offered.append(other)
-                for theta in _values(other, readings):
-                    if not is_there(model, FittedEffect(other, {}, theta)):
-                        yield other, theta
+                yield effect.model_copy(update={"sensor": sensor, **late})
 
 
 def _delays(effect: Effect) -> Sequence[Mapping[str, bool]]:
@@ -104,10 +121,10 @@ def _delays(effect: Effect) -> Sequence[Mapping[str, bool]]:
     return ({"lag": False}, {"lag": True}) if kind is not None and kind.annotation is bool else ({},)
 
 
-def _values(effect: Effect, readings: Readings) -> Sequence[Mapping[str, float]]:
-    """Grid of delays; other parameters stay at their start."""
-    free = within_record(effect, readings.measurements)
-    start = {p.name: p.start for p in free}
+def _values(fitted: FittedEffect, readings: Readings) -> Sequence[Mapping[str, float]]:
+    """Grid of delays; other parameters stay as in the model, or at their start."""
+    free = within_record(fitted.effect, readings.measurements)
+    start = {p.name: float(fitted.theta.get(p.name, p.start)) for p in free}
     grids = [(p.name, v) for p in free for v in p.grid if p.unit == "s"]
     return [{**start, name: v} for name, v in grids] or [start]
 
