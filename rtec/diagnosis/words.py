@@ -291,7 +291,7 @@ def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
 
 def why_not(mine: float, best: float, gain: float, same: bool) -> str:
     """Why a candidate is not preferred."""
-    if same and best - mine > 2.0 * math.log(20.0):
+    if same and best - mine > math.log(20.0):
         return "less likely than rank 1, but it predicts held-out runs as well or better"
     if same:
         return "as likely as rank 1 from these data"

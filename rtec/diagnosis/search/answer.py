@@ -215,19 +215,20 @@ class _Answer:
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
 
     def _disputes(self, winner: Refitted, other: Refitted) -> bool:
-        """Whether held-out runs favour a significant effect that the evidence ranks behind the winner; or hardly
-        distinguish the two, and the evidence does so only by what another sensor may feign.
+        """Whether held-out runs favour an effect that the evidence ranks behind the winner; or hardly distinguish the
+        two, and the evidence does so only by what another sensor may feign.
         """
-        if self.s.chain or not other.holds or other.log_evidence - self.s.prior_odds <= SURE:
+        if self.s.chain or not other.holds or other.log_evidence <= 0.0:
             return False
+        near = winner.log_evidence - other.log_evidence < FEIGNED
         if 1.0 - other.drop < BETTER * (1.0 - winner.drop):
-            return True
+            return near or other.log_evidence - self.s.prior_odds > SURE
         sensors = set(self.readings.machine.sensor_names)
         one, two = (
             sensors & set(self.s.candidates[t.number].effect.channels(self.readings.machine)) for t in (winner, other)
         )
-        near = 1.0 - winner.drop > BETTER * (1.0 - other.drop)
-        return bool(one and two) and one != two and near and winner.log_evidence - other.log_evidence < FEIGNED
+        alike = 1.0 - winner.drop > BETTER * (1.0 - other.drop)
+        return bool(one and two) and one != two and near and alike
 
     def _alikes(self, found: Screen, winner: Refitted, refitted: Sequence[Refitted]) -> list[Alike]:
         """Effects confounded with the winner: the refitted ones by evidence, the others by shape."""

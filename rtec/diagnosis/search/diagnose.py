@@ -53,6 +53,8 @@ PLAIN = 2
 MAY = 0.3
 """A candidate that removes this share of the held-out mean square may be why the runs differ, even where too few
 runs decide it."""
+HALF = 0.5
+"""From this share on it may be so even where a drift is likelier."""
 MOSTLY = 0.5
 """Two effects that help only together must remove at least this share of the held-out mean square."""
 DRAWS = 400
@@ -208,7 +210,8 @@ class _Search:
 
     def _undecided(self, refitted: Sequence[Refitted]) -> tuple[RunsDiffer, Refitted] | None:
         """Differences between runs, and the likeliest effect that may explain them though too few runs decide."""
-        may = [t for t in refitted if t.holds and t.drop >= MAY and t.log_evidence > 0.0]
+        most = [t for t in refitted if t.holds and t.drop >= MAY and t.log_evidence > -SURE]
+        may = [t for t in most if t.log_evidence > 0.0 or t.drop >= HALF]
         if self._doubted or not may:
             return None
         found = runs_differ(self.readings, self.refits.current.left, self.judged.scale)
