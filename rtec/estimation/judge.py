@@ -162,11 +162,26 @@ class Judgement:
         Args:
             count: number of effects that keep their numbers; none of them was fitted to these readings.
         """
-        kept, others = (replace(self.model, effects=part) for part in _cut(self.model.effects, count))
-        alone = replace(self.readings, values=self.readings.values - base_of(kept, self.readings).predicted)
-        columns = base_of(others, self.readings).columns
+        alone, columns = self._refitted_to(count)
         weighted, plain = (held_out(replace(w, readings=alone), columns, self.scale) for w in self._weights)
         return (weighted if as_good(weighted, plain) else plain).rms
+
+    def beyond_drift(self, by: Whitener, count: int = 0) -> float:
+        """Error on held-out runs beyond slow drift, root mean square in multiples of the noise.
+
+        Args:
+            by: the noise, of these readings.
+            count: as of `with_own`.
+        """
+        alone, columns = self._refitted_to(count)
+        white = held_out(replace(by, readings=alone), columns).white
+        return float(np.sqrt(white.sum() / max(len(alone), 1)))
+
+    def _refitted_to(self, count: int) -> tuple[Readings, Floats]:
+        """What the first effects leave of the readings, and the columns of all others, (m, p)."""
+        kept, others = (replace(self.model, effects=part) for part in _cut(self.model.effects, count))
+        alone = replace(self.readings, values=self.readings.values - base_of(kept, self.readings).predicted)
+        return alone, base_of(others, self.readings).columns
 
     @cached_property
     def by_measurement(self) -> tuple["MeasurementMet", ...]:

@@ -184,7 +184,7 @@ def test_what_was_passed_over_is_told() -> None:
 
 def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: no fall of the error is worth an effect here, so that what is named is not what ought to be added."""
-    monkeypatch.setattr("rtec.diagnosis.extend.improve.LITTLE", 2.0)
+    monkeypatch.setattr("rtec.diagnosis.extend.improve.gains", lambda *_: False)
     result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
     assert (result.reason, result.steps, result.diagnoses[-1].findings[0].accepted) == ("no_gain", (), True)
     page = improved_page(result, figures=False)

@@ -119,7 +119,11 @@ Stage = Callable[[str, int, int], None]
 WORTH = 1e-3
 """A smaller relative fall of the held-out error counts as none: free numbers always lower it a little."""
 CLEARLY = 0.02
-"""A model keeps its own numbers if that lowers the error on held-out runs by more than this share."""
+"""A fall of the error on held-out runs by more than this share is clear: then a model keeps its own numbers, or gets an
+effect."""
+SHARPER, SURELY = 0.1, 10.0
+"""Beyond slow drift, a fall of the mean square on held-out runs by more than this share and of the logarithm of the
+likelihood by more than the second is clear."""
 ROUNDING = 1e-9
 """A column is absorbed by the instrument's own unknowns where they leave less than this share of it."""
 
@@ -270,7 +274,8 @@ def _add(
         kept = _with_own(model, after, own, readings, loose)
         other = _judged(model, new, measurements, there, kept, margin, own, own)
         settles = bool(after.undetermined) and not kept.undetermined and other.better
-        if settles or other.after.held_out < (1.0 - CLEARLY) * made.after.held_out:
+        lower, n = other.after.held_out < (1.0 - CLEARLY) * made.after.held_out, len(readings)
+        if settles or (lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))):
             after, made = kept, other
     progress("held-out runs", 3, 3)
     named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
@@ -403,9 +408,15 @@ def _judged(
     grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
     now = Judgement(grown, given)
     was = Judgement(model, given, tuple(now.scale))
-    held = min(was.held_out, was.with_own(fresh)) if fresh else was.held_out
-    before = Errors(was.residual, was.residual, held if new else was.untouched)
-    after_it = Errors(None, now.residual, now.with_own(own) if own else now.held_out)
+    held, sharp = was.held_out, was.beyond_drift(now.flexible)
+    if fresh:
+        held, sharp = min(held, was.with_own(fresh)), min(sharp, was.beyond_drift(now.flexible, fresh))
+    if not new:
+        held, sharp = was.untouched, was.beyond_drift(now.flexible, len(model.effects))
+    before = Errors(was.residual, was.residual, held, sharp)
+    after_it = Errors(
+        None, now.residual, now.with_own(own) if own else now.held_out, now.beyond_drift(now.flexible, own)
+    )
     noise, added = now.noise_floor, tuple(labels([*model.effects, *new])[len(model.effects) :])
     entry = entry_of(
         added, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model
@@ -416,11 +427,36 @@ def _judged(
         measurements={**model.measurements, **{m.name: m.fingerprint for m in measurements}},
         history=(*model.history, entry),
     )
-    better = after_it.held_out < (1.0 - WORTH) * before.held_out
+    better = after_it.held_out < (1.0 - WORTH) * before.held_out or gains(before, after_it, len(given.readings))
     smooth = _with_smooth(after, now.scale)
     of_time = (note_of(f.effect) for f in new if of_record(f.effect, model.machine))
-    notes = (*of_time, *after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
+    hidden = _hidden_by_drift(before, after_it, len(given.readings))
+    notes = (*of_time, *hidden, *after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
     return Added(made, added, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from, own_kept=own)
+
+
+def _hidden_by_drift(before: Errors, after: Errors, readings: int) -> tuple[str, ...]:
+    """Note where only the error beyond slow drift falls, in words."""
+    if after.held_out <= (1.0 - CLEARLY) * before.held_out or not gains(before, after, readings):
+        return ()
+    one, two = two_numbers(before.beyond_drift, after.beyond_drift)
+    return (
+        "the error on held-out runs is mostly slow drift that no recorded channel explains; beyond that drift it falls "
+        f"from {one} to {two} times the noise",
+    )
+
+
+def gains(before: Errors, after: Errors, readings: int) -> bool:
+    """Whether held-out runs are predicted clearly better: as they are, or beyond a slow drift that hides it."""
+    if after.held_out <= (1.0 - CLEARLY) * before.held_out:
+        return True
+    return after.held_out <= (1.0 + CLEARLY) * before.held_out and sharper(before, after, readings)
+
+
+def sharper(before: Errors, after: Errors, readings: int) -> bool:
+    """Whether the error on held-out runs beyond slow drift falls clearly."""
+    fall = before.beyond_drift**2 - after.beyond_drift**2
+    return fall > SHARPER * before.beyond_drift**2 and 0.5 * fall * readings > SURELY
 
 
 def refused(added: Added) -> str:

@@ -21,11 +21,13 @@ class Errors:
         as_given: residual of the model before any refit; None for a refitted model.
         inside: residual of the fitted readings.
         held_out: error on held-out runs.
+        beyond_drift: error on held-out runs beyond slow drift, in multiples of the noise.
     """
 
     as_given: float | None
     inside: float
     held_out: float
+    beyond_drift: float
 
 
 def ranges_of(

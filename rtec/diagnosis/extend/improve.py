@@ -10,6 +10,7 @@ from rtec.diagnosis.extend.add import (
     Added,
     PassedOver,
     add,
+    gains,
     in_doubt,
     is_there,
     new_effect,
@@ -39,8 +40,6 @@ Reason = Literal[
 
 AT_FLOOR = 1.05
 """Held-out error over the noise floor up to which a model is at the floor."""
-LITTLE = 0.02
-"""A relative fall of the held-out error below this is not worth an effect."""
 AS_GOOD = 1.1
 """Held-out mean squares within this factor are equally good."""
 MOST = 8
@@ -231,7 +230,7 @@ class _Growth:
         if not model.effects or any(d.kind != "wrong_scale" for d in in_doubt(Judgement(model, self.given))):
             return None  # the diagnosis reports the doubts; nothing is fitted to a doubtful record
         made = add(model, [], self.measurements, stage=self.stage, given=self.given)
-        if made.after.held_out > (1.0 - LITTLE) * made.before.held_out or not self._no_worse(made):
+        if not gains(made.before, made.after, len(self.given.readings)) or not self._no_worse(made):
             return None
         if alone and one_pass(self.given.readings) and not _at_floor(made):
             return None  # the numbers would absorb the missing effect: position, direction and heat are confounded
@@ -309,7 +308,7 @@ class _Growth:
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
             # An effect that these data cannot distinguish from it may replace it, except one of the time.
             # Where several are missing together, the first alone may gain nothing: then any of the sure ones may begin.
-            others = [f for f in found.findings if f.group or (found.together and f.log_evidence > SURE)]
+            others = [f for f in found.findings if (f.group or found.together) and f.log_evidence > SURE]
             others = [f for f in others if f is not picked]
             others = [f for f in others if f.heldout_drop > 0.0]
             if choice.partner is not None:  # of a pair, each alone
@@ -396,7 +395,7 @@ class _Growth:
         """Whether an addition is worth it: it predicts held-out runs better and cancels no effect of the model."""
         return (
             not added.undetermined
-            and added.after.held_out <= (1.0 - LITTLE) * added.before.held_out
+            and gains(added.before, added.after, len(self.given.readings))
             and self._no_worse(added)
         )
 

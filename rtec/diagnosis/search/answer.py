@@ -133,7 +133,7 @@ class _Answer:
         if not refitted:
             return ()
         same = [
-            self._same(found, refitted[0], t) or (t.number != self.s.partner and self._disputes(refitted[0], t))
+            self._same(found, refitted[0], t) or (t.number != self.s.partner and self._disputes(found, refitted[0], t))
             for t in refitted
         ]
         mine = found.contribution(refitted[0].number)
@@ -214,15 +214,20 @@ class _Answer:
         cos = cosine(found.contribution(winner.number), found.contribution(other.number))
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
 
-    def _disputes(self, winner: Refitted, other: Refitted) -> bool:
+    def _disputes(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether held-out runs favour an effect that the evidence ranks behind the winner; or hardly distinguish the
         two, and the evidence does so only by what another sensor may feign.
+
+        One that is not significant by itself must explain the same part of the readings.
         """
         if self.s.chain or not other.holds or other.log_evidence <= 0.0:
             return False
+        sure = other.log_evidence - self.s.prior_odds > SURE
+        if not sure and cosine(found.contribution(winner.number), found.contribution(other.number)) < APART:
+            return False
         near = winner.log_evidence - other.log_evidence < FEIGNED
         if 1.0 - other.drop < BETTER * (1.0 - winner.drop):
-            return near or other.log_evidence - self.s.prior_odds > SURE
+            return sure or near
         sensors = set(self.readings.machine.sensor_names)
         one, two = (
             sensors & set(self.s.candidates[t.number].effect.channels(self.readings.machine)) for t in (winner, other)
@@ -244,7 +249,7 @@ class _Answer:
             other = self.s.candidates[number].effect
             cos = cosine(shape, found.contribution(number))
             if number in fitted:
-                same = self._same(found, winner, fitted[number]) or self._disputes(winner, fitted[number])
+                same = self._same(found, winner, fitted[number]) or self._disputes(found, winner, fitted[number])
                 behind = winner.log_evidence - fitted[number].log_evidence
             else:
                 same = cos > SAME and found.variants[found.best[number]].count <= width
