@@ -45,6 +45,9 @@ AS_GOOD = 1.1
 MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
+VISIBLE = 0.35
+"""A further temperature must lower the error on held-out runs by more than this multiple of the noise floor, in
+squares: what hides in the noise is not worth an effect that names no cause and may act more strongly on another day."""
 FURTHER = (
     "this is a further temperature of an effect that the model has, for a body between several sensors; it was taken "
     "because it predicts held-out runs better, and it names no cause of its own"
@@ -338,7 +341,8 @@ class _Growth:
                 continue
             last = added.model.effects[-1]
             known = all(abs(v) > DETERMINED * last.errors.get(n, 0.0) for n, v in last.values.items())
-            if known and self._gains(added):
+            fall = added.before.held_out**2 - added.after.held_out**2
+            if known and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
                 return replace(added, notes=(FURTHER, *added.notes))
         return None
 

@@ -29,9 +29,8 @@ from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
 
-LIKELIER = math.log(50.0)
-"""Least gain in log likelihood. The best of some fifty further temperatures gained at most 3.3 in 24 records that
-depend on only one temperature."""
+LIKELIER = 50.0
+"""How many times likelier the readings must become, for each temperature that is tried."""
 
 ALIKE = 3.0
 """Gains in log likelihood within such a step are alike: then the error on held-out runs decides."""
@@ -51,8 +50,7 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
         judged: the model, on its readings.
 
     Yields:
-        A further copy of an effect of a temperature along an axis, to be added; it must predict held-out runs better,
-        too.
+        A further copy of an effect of the model, to be added; it must predict held-out runs better, too.
     """
     keep = looked_at(judged.readings)
     few = judged.readings.without(~keep)
@@ -70,9 +68,9 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
         sensor = getattr(effect, "sensor", None)
         still = few.at_constant(effect, theta, sensor) if sensor is not None else base[:, :0]
         gains[effect] = _likelier(noise, np.concatenate([base, still], axis=1), columns)
-    most = max(gains.values(), default=0.0)
+    most, enough = max(gains.values(), default=0.0), math.log(LIKELIER * max(len(gains), 1))
     for effect in sorted(gains, key=lambda e: ((most - gains[e]) // ALIKE, best[e][0])):
-        if gains[effect] >= LIKELIER:
+        if gains[effect] >= enough:
             yield new_effect(effect, judged.model, best[effect][1])
 
 
