@@ -14,10 +14,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.effects import State
+from rtec.effects import Effect, State
 from rtec.errors import ModelError
 from rtec.estimation import floor
-from rtec.estimation.candidates import REAL
+from rtec.estimation.candidates import REAL, library
 from rtec.estimation.columns import ordered
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.end_targets import NEXT
@@ -27,7 +27,7 @@ from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series, looked_at
 from rtec.estimation.wrong_scale import odd_scales
-from rtec.machine import Axis
+from rtec.machine import Axis, Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.history import steps_of
@@ -237,7 +237,7 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
 
 def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     """Whether an edit of a record leaves what the fit left, or as another place of the axis what the refitted model
-    leaves; and new numbers of no single effect do.
+    leaves; and new numbers of no single effect do, and no missing effect of one number leaves clearly less.
 
     An edit has one number. Several effects that all changed by just as much are less likely than a fault of the record.
     """
@@ -247,11 +247,20 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     by_refit = LIKE_REFIT * judged.refitted if found.kind in ("moved_origin", "turned_axis") else 0.0
     if found.residual > min(AGAIN * judged.residual, max(by_fit, by_refit)):
         return False
-    for fitted in judged.model.effects:
-        columns = floor.cleaned(readings, readings.columns(fitted.effect, fitted.theta))
-        if judged.pooled(judged.left - columns @ solve(columns, judged.left)) < AS_GOOD * found.residual:
-            return False
-    return True
+
+    def without(effect: Effect, theta: Mapping[str, float]) -> float:
+        columns = floor.cleaned(readings, readings.columns(effect, theta))
+        return judged.pooled(judged.left - columns @ solve(columns, judged.left))
+
+    if any(without(f.effect, f.theta) < AS_GOOD * found.residual for f in judged.model.effects):
+        return False
+    simple = (c.effect for c in library(readings)[0] if _simple(c.effect, judged.model.machine))
+    return not any(AS_GOOD * without(e, {}) < found.residual for e in simple)
+
+
+def _simple(effect: Effect, machine: Machine) -> bool:
+    """Whether an effect has one number, as an edit has."""
+    return len(effect.coefficients(machine)) == 1 and not effect.nonlinear(machine)
 
 
 def _error_of_fit(model: Model, unit: str, measurements: Sequence[Measurement]) -> float | None:

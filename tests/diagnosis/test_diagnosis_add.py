@@ -15,8 +15,8 @@ from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from tests.discovery.generator.cases import Case
-from tests.discovery.generator.dataset import build
-from tests.discovery.translate import base_model, measurement_of
+from tests.discovery.generator.dataset import build, model_error, oracle_cut
+from tests.discovery.translate import base_model, measurement_of, said_by
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 
 Floats = NDArray[np.float64]
@@ -303,3 +303,21 @@ def test_an_effect_is_added_though_a_jump_misleads_the_numbers_of_the_model() ->
     assert [e.label for e in done.events] == ["missed_counts(EYY, Y)"]
     assert done.steps[0].own_kept == len(known.effects)
     assert done.steps[0].model.effects[: len(known.effects)] == known.effects
+
+
+@pytest.mark.parametrize(("seed", "effect"), [(86035, "polynomial_position"), (86050, "backlash_load")])
+def test_numbers_that_a_drift_hides_are_refitted_with_what_is_new(seed: int, effect: str) -> None:
+    """A laser's zero wanders by more than the effect, and the model's own numbers are out of date.
+
+    Oracle: the true shapes, fitted by ordinary least squares to the same readings, on other runs.
+    """
+    noise = {86035: "daily", 86050: "random_walk"}[seed]
+    hidden = build(Case("singles", seed, "laser", noise, (effect,)))
+    m = measurement_of(hidden)
+    done = improve(base_model(hidden, m), [m], draws=50)
+    _, true = oracle_cut(hidden)
+    assert [f.effect.effect for f in done.model.effects][-1] == effect
+    assert model_error(hidden, said_by(done.model, m)) < 1.5 * true
+    last = done.steps[-1]
+    told = any("mostly slow drift" in n for n in last.notes)
+    assert told is (last.after.held_out > 0.98 * last.before.held_out)

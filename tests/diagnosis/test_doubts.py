@@ -18,6 +18,9 @@ from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.sim.campaign.truth import effect_from_text
+from tests.discovery.generator.cases import Case
+from tests.discovery.generator.dataset import build as generated
+from tests.discovery.translate import base_model, measurement_of
 from tests.support.characterise_examples import Probe, ProbeSetup, measurement, runs
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
@@ -299,3 +302,14 @@ def test_a_moved_origin_is_seen_under_a_drift(seed: int) -> None:
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
     assert kinds(d.doubts) == ["moved_origin"]
     assert d.verdict == "undecided"
+
+
+@pytest.mark.parametrize(("seed", "noise"), [(87020, "heavy"), (87059, "white")])
+def test_an_effect_that_explains_far_more_than_a_moved_origin_is_named(seed: int, noise: str) -> None:
+    """The guide is curved, and the model has a parabola, which moved by a little is nearly as steep. Oracle: hidden."""
+    hidden = generated(Case("singles", seed, "angular", noise, ("guide_curvature",)))
+    m = measurement_of(hidden)
+    d = diagnose(base_model(hidden, m), [m], draws=50)
+    assert kinds(d.doubts) == []
+    assert d.findings[0].accepted
+    assert d.findings[0].effect.effect == "guide_curvature"

@@ -87,6 +87,17 @@ def test_numbers_that_were_fitted_to_it_are_refitted_without_it() -> None:
     assert rms(done.model, other) < 1.2 * NOISE_UM
 
 
+def test_what_wears_while_it_is_measured_leaves_the_numbers_at_its_mean() -> None:
+    """The backlash grows all day. Oracle: the model that knew its mean, on the same readings."""
+    m = laser([*KNOWN, "backlash_wear,component=EXX,axis=X,w=0.6"], 61)
+    hours = m.time_s / 3600.0
+    mean = [KNOWN[0], f"backlash,component=EXX,axis=X,B={3.0 + 2.0 * 0.6 * hours.mean():.3f}", KNOWN[2]]
+    fair = Model(small_machine(), effects(*mean), name="fair")
+    done = improve(fair, [m], draws=50)
+    assert [e.label for e in done.events] == ["backlash_wear(EXX, X)"]
+    assert rms(done.model, m) <= 1.01 * rms(fair, m)
+
+
 def test_it_is_reported_with_the_time_and_what_to_do() -> None:
     done, _ = after_a_jump()
     lead = improved_page(done, figures=False).lead

@@ -76,6 +76,9 @@ def taken_out(readings: Readings, left: Floats, finding: Finding) -> tuple[Readi
         finding: the effect, with its parameters.
     """
     columns = readings.columns(finding.effect, finding.theta)
+    if not has_instant(finding):  # about its mean in the record: the numbers of the model then mean the same, too
+        still = [replace(s, time_s=np.full(len(s), s.time_s.mean()), _cache={}) for s in readings.states]
+        columns = columns - readings.with_states(still).columns(finding.effect, finding.theta)
     parts = [_of_source(readings, columns, i) for i in range(len(readings.measurements))]
     here = [(i, c, _fitted(readings, left, c)) for i, c in enumerate(parts) if c.shape[1]]
     most = max((_rms(readings, c @ v) for _, c, v in here), default=0.0)
