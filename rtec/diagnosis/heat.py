@@ -166,6 +166,16 @@ def own_warm_up(effect: Effect) -> Doubt:
     return Doubt("instrument_warm_up", message, step, fatal=True)
 
 
+def only_time(readings: Readings) -> Doubt:
+    """Doubt where the residual depends smoothly on the time of the record, and on nothing else that was recorded."""
+    message = (
+        "The residual changes smoothly with the time of the record and with nothing else that was recorded: an "
+        "instrument that warms up looks like this, or heat that no sensor recorded."
+    )
+    step = f"Measure again once the instrument has been on for hours. {_to_record(readings, readings.series[0])}"
+    return Doubt("instrument_warm_up", message, step, fatal=True)
+
+
 def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None) -> Doubt | None:
     """Doubt where the residual grows and falls over hours, unexplained by any recorded channel; None where it does not.
 

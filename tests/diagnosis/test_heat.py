@@ -199,3 +199,14 @@ def test_slopes_are_as_quick_as_the_memory_and_fit_a_long_record(runs: int, memo
     slopes = slow_slopes(_runs_along_x(runs, memory_s))
     assert slopes.shape == (6 * runs, columns)
     assert np.linalg.matrix_rank(slopes) == columns
+
+
+@pytest.mark.parametrize(("what", "seed"), [("warm_up_line", 83002), ("warm_up_drift", 83000)])
+def test_what_only_follows_the_time_is_no_effect_of_the_machine(what: str, seed: int) -> None:
+    """An instrument warms up, and the temperatures of the machine change. Oracle: nothing is missing."""
+    trial = build("quiet", what, seed)
+    d = diagnose(model_of(trial), measurements_of(trial))
+    assert d.verdict == "undecided"
+    assert d.unknown is None
+    assert [x.kind for x in d.doubts] == ["instrument_warm_up"]
+    assert "with the time of the record and with nothing else" in d.sentence

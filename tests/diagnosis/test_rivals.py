@@ -239,17 +239,31 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
     shifts = [_effect("mount_expansion", component="EXX", sensor=s) for s in ("T_air", "T_bed")]
     asked: Any = object.__new__(_Answer)
     asked.readings = SimpleNamespace(machine=small_machine())
-    candidates = [SimpleNamespace(effect=e) for e in (*shifts, shifts[0])]
+    candidates = [SimpleNamespace(effect=e) for e in (*shifts, shifts[0], shifts[1])]
     asked.s = SimpleNamespace(chain=(), prior_odds=3.0, candidates=candidates)
 
     def fitted(number: int, log_evidence: float, drop: float) -> Any:
         return SimpleNamespace(number=number, log_evidence=log_evidence, drop=drop, holds=True)
 
+    shapes = np.array([[1.0, 0.0], [0.8, 0.6], [1.0, 0.0], [0.0, 1.0]])
+    found: Any = SimpleNamespace(contribution=lambda number: shapes[number])
     winner = fitted(0, 60.0, 0.982)
-    assert asked._disputes(winner, fitted(1, 60.0 - math.log(13_000.0), 0.981))
-    assert not asked._disputes(winner, fitted(1, 40.0, 0.981))
-    assert not asked._disputes(winner, fitted(1, 55.0, 0.95))
-    assert not asked._disputes(winner, fitted(2, 55.0, 0.981))  # the same sensor
+    assert asked._disputes(found, winner, fitted(1, 60.0 - math.log(13_000.0), 0.981))
+    assert not asked._disputes(found, winner, fitted(1, 40.0, 0.981))
+    assert not asked._disputes(found, winner, fitted(1, 55.0, 0.95))
+    assert not asked._disputes(found, winner, fitted(2, 55.0, 0.981))  # the same sensor
+
+
+def test_what_predicts_better_is_a_rival_though_it_is_not_significant_by_itself() -> None:
+    """The column leans by less than the noise; what the spindle's temperature explains of it was asserted.
+
+    Oracle: the hidden effect.
+    """
+    trial = build("run_level", "column_lean", 83001, "faint")
+    d = diagnose(model_of(trial), measurements_of(trial))
+    assert d.verdict == "ambiguous"
+    rivals = [f.label for f in d.group]
+    assert any(label.startswith("column_tilt") and "T_front, T_back" in label for label in rivals)
 
 
 def test_of_sensors_that_predict_alike_the_effect_of_fewer_numbers_is_added() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import Doubt, doubts
-from rtec.diagnosis.heat import dead_sensor, only_between_files, own_warm_up, unrecorded_heat, warm_up_curves
+from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
@@ -192,6 +192,8 @@ class _Search:
             numbers = [t.number for t in pair]
             refitted = [*pair, *(t for t in refitted if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
+        if unknown is not None and set(unknown.channels) == {"time_s"} and unknown.shape == "smooth":
+            self.doubts, unknown = (*self.doubts, only_time(readings)), None
         undecided = None if accepted and named else self._undecided(refitted)
         if undecided is not None and unknown is not None:
             undecided = undecided if beats_drift(undecided[1], self._top_shape) else None
