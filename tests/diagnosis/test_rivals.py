@@ -29,6 +29,9 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.sim.campaign.truth import effect_from_text
+from tests.discovery.generator.cases import Case
+from tests.discovery.generator.dataset import build as generated
+from tests.discovery.translate import base_model, measurement_of
 from tests.support.diagnosis_examples import TABLE, laser, small_machine
 
 Floats = NDArray[np.float64]
@@ -252,6 +255,13 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
     assert not asked._disputes(found, winner, fitted(1, 40.0, 0.981))
     assert not asked._disputes(found, winner, fitted(1, 55.0, 0.95))
     assert not asked._disputes(found, winner, fitted(2, 55.0, 0.981))  # the same sensor
+
+
+def test_many_numbers_over_few_runs_are_not_named_where_chance_is_not_excluded() -> None:
+    """Noise with heavy tails: a curve of eleven numbers follows the runs. Oracle: nothing is hidden."""
+    clean = generated(Case("clean", 82056, "straightness", "heavy", ()))
+    m = measurement_of(clean)
+    assert diagnose(base_model(clean, m), [m]).verdict == "nothing_missing"
 
 
 def test_what_predicts_better_is_a_rival_though_it_is_not_significant_by_itself() -> None:

@@ -48,8 +48,9 @@ LITTLE = 0.25
 """A fall of the mean square on held-out runs below this is little."""
 MAIN = 0.75
 """An effect that removes more than this share of the held-out mean square is named first, the others after it."""
-PLAIN = 2
-"""Largest number of coefficients of a plain effect."""
+PLAIN, LEAN = 2, 3
+"""Largest number of coefficients of a plain effect, and of one that may be overwhelming though chance is not excluded:
+many follow any differences between a few runs."""
 MAY = 0.3
 """A candidate that removes this share of the held-out mean square may be why the runs differ, even where too few
 runs decide it."""
@@ -231,7 +232,8 @@ class _Search:
         return self.refits.weigh(fit.whitener, fit.columns)
 
     def _accepts(self, best: Refitted, p: float) -> bool:
-        """Noise alone is unlikely, or the evidence with the refitted noise overwhelming; and held-out runs agree.
+        """Noise alone is unlikely, or the evidence of a lean effect overwhelming with the refitted noise; and held-out
+        runs agree.
 
         The random draws know only the noise that was estimated without the effect. Where that noise absorbed the
         effect, they make noise alone look likelier than it is.
@@ -243,7 +245,8 @@ class _Search:
             best.drop < NOTHING_MUCH or self.refits.beside_slopes(best) - self._prior_odds < SURE
         ):
             return False  # heat that no sensor recorded bends and stretches as much
-        sure = best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
+        likely = beyond > OVERWHELMING and self._many and best.columns.shape[1] <= LEAN
+        sure = best.holds and beyond > SURE and (p < self.alpha or likely)
         if sure and self._warm_up(best) is not None:
             self._doubt_warm_up(best, fatal=True)
             return False
