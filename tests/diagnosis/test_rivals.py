@@ -15,12 +15,11 @@ from rtec.bench.rig.machine import day
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import Trial, build
 from rtec.diagnosis import words
-from rtec.diagnosis.extend.improve import _leaner
 from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Member, label_of
 from rtec.diagnosis.search.answer import _Answer
 from rtec.diagnosis.search.confounded import alike, bent_part
-from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.search.diagnose import diagnose, leaner_first
 from rtec.effects import effect_class
 from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
@@ -276,22 +275,35 @@ def test_what_predicts_better_is_a_rival_though_it_is_not_significant_by_itself(
     assert any(label.startswith("column_tilt") and "T_front, T_back" in label for label in rivals)
 
 
-def test_of_sensors_that_predict_alike_the_effect_of_fewer_numbers_is_added() -> None:
+def test_of_sensors_that_predict_alike_the_effect_of_fewer_numbers_is_first() -> None:
     """Oracle: numbers and shares of the held-out error that were given."""
+    machine = small_machine()
 
-    def finding(numbers: int, drop: float, sensor: str) -> Any:
+    def fitted(lag: bool, drop: float, *channels: str, evidence: float = 55.0) -> Any:
         return SimpleNamespace(
-            parameters=dict.fromkeys("ktp"[:numbers]), heldout_drop=drop, partner=None, channels=("x", sensor)
-        )
+            number=0, theta={"tau": 600.0} if lag else {}, columns=np.zeros((3, 1)), drop=drop, holds=True,
+            log_evidence=evidence, channels=channels,
+        )  # fmt: skip
 
-    late, plain, poor = finding(2, 0.982, "T_air"), finding(1, 0.981, "T_bed"), finding(1, 0.97, "T_bed")
-    same, place = finding(1, 0.982, "T_air"), finding(1, 0.982, "d_x")
+    late, plain, poor = (
+        fitted(True, 0.982, "T_air", evidence=60.0),
+        fitted(False, 0.981, "T_bed"),
+        fitted(False, 0.97, "T_bed"),
+    )
+    same, place, faint = (
+        fitted(False, 0.982, "T_air"),
+        fitted(False, 0.982, "d_x"),
+        fitted(False, 0.981, "T_bed", evidence=49.0),
+    )
 
-    def added(*group: Any) -> Any:
-        found: Any = SimpleNamespace(findings=group, group=group, together=())
-        return _leaner(found, small_machine())
+    def first(*given: Any) -> Any:
+        for i, t in enumerate(given):
+            t.number = i
+        effects: Any = {t.number: SimpleNamespace(channels=lambda _, of=t: of.channels) for t in given}
+        return leaner_first(list(given), effects, machine, 5.0)[0]
 
-    assert added(late, poor, plain) is plain
-    assert added(late, poor) is late
-    assert added(plain, late) is plain
-    assert added(late, same, place) is late
+    assert first(late, poor, plain) is plain
+    assert first(late, poor) is late
+    assert first(plain, late) is plain
+    assert first(late, same, place) is late
+    assert first(late, faint) is late

@@ -40,8 +40,6 @@ Reason = Literal[
 
 AT_FLOOR = 1.05
 """Held-out error over the noise floor up to which a model is at the floor."""
-AS_GOOD = 1.1
-"""Held-out mean squares within this factor are equally good."""
 MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
@@ -425,7 +423,7 @@ def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
     """
     first = found.findings[0]
     if not any(d.kind == "one_pass" for d in found.doubts):
-        return _leaner(found, machine)
+        return first
     ways, places = {a.direction_channel for a in machine.axes}, {a.channel for a in machine.axes}
 
     def plain(f: Finding) -> bool:
@@ -436,25 +434,6 @@ def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
         return next((f for f in found.findings if f.group and plain(f)), None)
     read = set(first.effect.channels(machine))
     return None if read & ways and read - ways else first
-
-
-def _leaner(found: Diagnosis, machine: Machine) -> Finding:
-    """The first, or a rival by another sensor that has fewer numbers and predicts held-out runs as well.
-
-    A lag feigns what a sensor lacks.
-    """
-    first, sensors = found.findings[0], set(machine.sensor_names)
-    read = sensors & set(first.channels)
-    if found.together or first.partner is not None or not read:
-        return first
-    rivals = [
-        f
-        for f in found.group
-        if len(f.parameters) < len(first.parameters)
-        and 1.0 - f.heldout_drop <= AS_GOOD * (1.0 - first.heldout_drop)
-        and sensors & set(f.channels) not in (set(), read)
-    ]
-    return max(rivals, key=lambda f: f.heldout_drop, default=first)
 
 
 def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:

@@ -16,6 +16,7 @@ from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Pic
 from rtec.diagnosis.search import picture
 from rtec.diagnosis.search.confounded import (
     APART,
+    FEIGNED,
     SAME,
     WITHIN,
     alike,
@@ -52,8 +53,6 @@ LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 BETTER = 0.9
 """An effect disputes the winner's place where its mean square on held-out runs is below this share of the winner's."""
-FEIGNED = 10.0
-"""Log odds that small errors of a sensor, its steps and its delay, can feign between effects that predict alike."""
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ SAME = 0.99
 WITHIN = math.log(20.0)
 WAVE = 0.9
 """From this cosine on, a curve may be a wave that equal targets fold onto it."""
+FEIGNED = 10.0
+"""Log odds that small errors of a sensor, its steps and its delay, can feign between effects that predict alike."""
 ONE_FORMULA = 1.0 - 1e-6
 APART = 0.3
 """Below this cosine two effects explain different parts of the readings."""

@@ -17,7 +17,7 @@ from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
-from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
+from rtec.diagnosis.search.confounded import ALIASES, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.search.refit import BESIDE, MORE, NOTHING_MUCH, Judged, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
@@ -30,6 +30,7 @@ from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
+from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.parallel import each, one_blas_thread
@@ -54,6 +55,8 @@ many follow any differences between a few runs."""
 MAY = 0.3
 """A candidate that removes this share of the held-out mean square may be why the runs differ, even where too few
 runs decide it."""
+AS_GOOD = 1.1
+"""Held-out mean squares within this factor are equally good."""
 HALF = 0.5
 """From this share on it may be so even where a drift is likelier."""
 MOSTLY = 0.5
@@ -119,6 +122,38 @@ def beats_drift(one: Judged, top: Shaped | None) -> bool:
     return top is not None and "time_s" in top.shape.variables and far_better(one, top)
 
 
+def leaner_first(
+    refitted: list[Refitted], effects: Mapping[int, Effect], machine: Machine, bar: float
+) -> list[Refitted]:
+    """The same; first a significant rival by other sensors that has fewer numbers and predicts held-out runs as well.
+
+    A lag feigns what a sensor lacks.
+
+    Args:
+        refitted: the best first.
+        effects: by the number of the candidate.
+        machine: whose sensors are meant.
+        bar: evidence from which a candidate is significant.
+    """
+    first, sensors = refitted[0], set(machine.sensor_names)
+
+    def read(t: Refitted) -> set[str]:
+        return sensors & set(effects[t.number].channels(machine))
+
+    def numbers(t: Refitted) -> int:
+        return int(t.columns.shape[1]) + len(t.theta)
+
+    rivals = [
+        t
+        for t in refitted
+        if t.holds and t.log_evidence > bar and first.log_evidence - t.log_evidence < FEIGNED
+        and numbers(t) < numbers(first) and 1.0 - t.drop <= AS_GOOD * (1.0 - first.drop)
+        and read(first) and read(t) not in (set(), read(first))
+    ]  # fmt: skip
+    lead = max(rivals, key=lambda t: t.log_evidence, default=first)
+    return [lead, *(t for t in refitted if t is not lead)]
+
+
 def _rich(members: Sequence[Refitted]) -> bool:
     """Whether one of several effects has many numbers."""
     return any(t.columns.shape[1] > PLAIN for t in members)
@@ -164,6 +199,8 @@ class _Search:
         refitted = self._apart_from_warm_up(led(again, self._prior_odds + SURE, prepared.base, readings))
         best = refitted[0] if refitted else None
         accepted = best is not None and self._accepts(best, p)
+        refitted = self._leaner_first(refitted) if accepted else refitted
+        best = refitted[0] if refitted else None
         named, share, unknown = self._adequate(best if accepted else None)
         # An effect that explains next to nothing alone, and is named for what it does beside another, is half a pair.
         half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
@@ -210,6 +247,10 @@ class _Search:
                 undecided[0] if undecided is not None else None,
             )
         )  # fmt: skip
+
+    def _leaner_first(self, refitted: list[Refitted]) -> list[Refitted]:
+        effects = {t.number: self.candidates[t.number].effect for t in refitted}
+        return leaner_first(refitted, effects, self.model.machine, self._prior_odds + SURE)
 
     def _undecided(self, refitted: Sequence[Refitted]) -> tuple[RunsDiffer, Refitted] | None:
         """Differences between runs, and the likeliest effect that may explain them though too few runs decide."""
