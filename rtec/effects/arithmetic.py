@@ -12,6 +12,7 @@ and none in a product.
 
 import ast
 import copy
+import functools
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -56,7 +57,8 @@ OPERATORS: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
 }
 
 
-def names_in(expression: str) -> set[str]:
+@functools.lru_cache(maxsize=256)
+def names_in(expression: str) -> frozenset[str]:
     """Names of channels and parameters in an expression; not those of functions.
 
     Raises:
@@ -64,11 +66,12 @@ def names_in(expression: str) -> set[str]:
     """
     tree = parse(expression)
     calls = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in calls}
+    return frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in calls)
 
 
+@functools.lru_cache(maxsize=256)
 def parse(expression: str) -> ast.expr:
-    """Give the tree of an allowed expression.
+    """Give the tree of an allowed expression; it is shared, so nobody may change it.
 
     Raises:
         ValueError: the expression is not allowed.

@@ -205,7 +205,7 @@ def _tree(expr: str) -> ast.expr:
         raise ModelError(f"--expr: {e}") from e
 
 
-def _declared(text: str, names: set[str], machine: Machine) -> tuple[str, dict[str, Any]]:
+def _declared(text: str, names: frozenset[str], machine: Machine) -> tuple[str, dict[str, Any]]:
     found = PARAM.fullmatch(text)
     if found is None:
         raise ModelError(f"--param {text!r}: write {PARAM_FORM}")

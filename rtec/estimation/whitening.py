@@ -62,12 +62,13 @@ def gains(  # noqa: PLR0912
     h = np.ones(size)
     ph = np.zeros(size)
     total = 0.0
+    step, kept = -1.0, 0.0  # equal steps have equal decay
     for i in range(n):
-        if i == 0:
-            decay[i] = 0.0
-        else:
-            ratio = (time_s[i] - time_s[i - 1]) / tau_s
-            decay[i] = math.exp(-ratio) if ratio < 25.0 else 0.0
+        if i > 0 and time_s[i] - time_s[i - 1] != step:
+            step = time_s[i] - time_s[i - 1]
+            ratio = step / tau_s
+            kept = math.exp(-ratio) if ratio < 25.0 else 0.0
+        decay[i] = kept if i > 0 else 0.0
         if i == 0 or run[i] != run[i - 1]:
             # A new run: the state of the last one is forgotten.
             drift_left = p[0, 0]
@@ -238,17 +239,19 @@ def likelihood(  # noqa: PLR0912 - one pass, compiled
     p = np.zeros((size, size))
     h, ph, x = np.ones(size), np.zeros(size), np.zeros(size)
     log_det, square = 0.0, 0.0
+    step, kept = -1.0, 0.0  # equal steps have equal decay
     for i in range(n):
-        f = 0.0
-        if i > 0:
-            ratio = (time_s[i] - time_s[i - 1]) / tau_s
-            f = math.exp(-ratio) if ratio < 25.0 else 0.0
+        if i > 0 and time_s[i] - time_s[i - 1] != step:
+            step = time_s[i] - time_s[i - 1]
+            ratio = step / tau_s
+            kept = math.exp(-ratio) if ratio < 25.0 else 0.0
+        f = kept if i > 0 else 0.0
         if i == 0 or run[i] != run[i - 1]:
-            kept = p[0, 0]
+            drift_left = p[0, 0]
             for a in range(size):
                 for b in range(size):
                     p[a, b] = 0.0
-            p[0, 0] = kept
+            p[0, 0] = drift_left
             p[1, 1] = offset
             for a in range(2, size):
                 p[a, a] = run_variance[a - 2]

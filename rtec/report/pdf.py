@@ -18,7 +18,7 @@ from rtec.text import clean_lines
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
-Pixels = NDArray[np.float32]
+Pixels = NDArray[np.uint8]
 WIDE_IN, HIGH_IN, EDGE_IN = 8.27, 11.69, 0.8
 LEAD, HEAD, TEXT, CELL = 14.0, 13.0, 10.0, 8.0
 """Font sizes, points."""
@@ -168,7 +168,8 @@ def _drawn(sheet: list[_Item]) -> "MplFigure":
         if item.picture is not None:
             wide = high * item.picture.shape[1] / item.picture.shape[0]
             axes = figure.add_axes((EDGE_IN / WIDE_IN, left / HIGH_IN, wide / WIDE_IN, high / HIGH_IN))
-            axes.imshow(item.picture, aspect="equal", interpolation="lanczos")
+            # Pixel by pixel, to be scaled by whoever shows it: to resample them took longer than all the rest.
+            axes.imshow(item.picture, aspect="equal", interpolation="none")
             axes.set_axis_off()
         elif item.words:
             figure.text(EDGE_IN / WIDE_IN, left / HIGH_IN, item.words, va="bottom", **dict(item.style))
@@ -176,9 +177,10 @@ def _drawn(sheet: list[_Item]) -> "MplFigure":
 
 
 def _picture(png: bytes) -> Pixels:
-    from matplotlib.image import imread
+    from PIL import Image
 
-    return np.asarray(imread(BytesIO(png), format="png"))
+    with Image.open(BytesIO(png)) as picture:
+        return np.asarray(picture.convert("RGB"))
 
 
 def _height_in(picture: Pixels) -> float:

@@ -278,7 +278,7 @@ def test_a_run_with_tables_alone_writes_them_and_commands_nothing(
     text = run.read_text()
     actuator = next(line for line in text.splitlines() if line.startswith("actuator"))
     text = text.replace(actuator + "\n", "") + '\n[table]\nfiles = {X = "x.eec"}\nformat = "siemens"\n'
-    run.write_text(text)
+    run.write_text(text + "\n[realtime]\nlock_memory = false\n")  # to fill all that a test has takes seconds
     assert status(["run", str(run), "--duration", "3", "--json", "--log", str(tmp_path / "log")]) == 0
     out = capsys.readouterr()
     assert "x.eec: written for" in out.err

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
@@ -119,6 +120,34 @@ def test_columns_kept_for_the_next_look_are_those_of_its_readings() -> None:
     for chunk in bank.chunks:
         made = [few.columns(candidates[i].effect, candidates[i].thetas[j]) for i, j in chunk.which.tolist()]
         np.testing.assert_array_equal(chunk.columns, np.concatenate(made, axis=1))
+
+
+def test_directions_of_a_candidate_explain_what_least_squares_does() -> None:
+    """Oracle: numpy's least squares beside the base, which has one column of a polynomial already."""
+    trial = build("lean", "servo", 1)
+    readings = read(measurements_of(trial), smooth=False)
+    candidates, _ = library(readings, ["servo_lag", "polynomial_position"])
+    noise = Whitener(readings, (Noise(0.5, 1e-4, 100.0, 0.0),), (np.zeros(0),))
+    rich = next(c for c in candidates if len(c.effect.coefficients(readings.machine)) > 1)
+    base = np.column_stack([np.ones(len(readings)), readings.columns(rich.effect, rich.thetas[0])[:, 0]])
+    known = Projected.of(noise, base, readings.values)
+    found = screen_all(Bank(readings, candidates, np.ones(len(readings), dtype=np.bool_)), known)
+
+    def left(columns: NDArray[np.float64]) -> float:
+        white, values = noise(columns), noise(readings.values)
+        white = white / np.linalg.norm(white, axis=0)
+        return float(np.sum((values - white @ np.linalg.lstsq(white, values, rcond=1e-9)[0]) ** 2))
+
+    fewer = 0
+    for v in found.variants:
+        columns = readings.columns(candidates[v.candidate].effect, candidates[v.candidate].thetas[v.theta])
+        explained = float(np.sum(found.along[v.first : v.first + v.count] ** 2))
+        assert explained == pytest.approx(left(base) - left(np.hstack([base, columns])), rel=1e-6)
+        made = found.directions[:, v.first : v.first + v.count].astype(np.float64)
+        np.testing.assert_allclose(made.T @ made, np.eye(v.count), atol=1e-4)
+        np.testing.assert_allclose(made.T @ known.left, found.along[v.first : v.first + v.count], rtol=1e-3, atol=1e-3)
+        fewer += v.count < columns.shape[1]
+    assert fewer >= 1, "the base absorbs a direction of one candidate at least"
 
 
 def test_a_lag_says_what_it_took_for_granted() -> None:

@@ -48,7 +48,7 @@ def faulted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """One run with a fault on every bus: by name what each did, and the whole result."""
     folder = tmp_path_factory.mktemp("faulted")
     config = hil_rig.short(folder, settle_s=1.0)
-    faults = ("box-reset@3s+1s", "can-open@8s+4s", "modbus-silent@9s+4s", "box-unplugged@11s+1s")
+    faults = ("box-reset@2s+1s", "can-open@4s+4s", "modbus-silent@5s+4s", "box-unplugged@7s+1s")
     options = [word for fault in faults for word in ("--fault", fault)]
     done = hil_rig.rtec(
         "hil", config, "--off", 2, "--on", 3, *options, "--shared", "--json", env=hil_rig.environment(folder / "t")
@@ -61,8 +61,8 @@ def test_whatever_happens_ledger_log_and_limits_are_kept(faulted: dict[str, Any]
     """The run lasts as long as its faults need; the correction follows again after all of them."""
     facts = faulted["facts"]
     assert not _failed(facts)
-    assert facts["on_s"] == 21.0
-    assert facts["on_timing"]["cycles"] == 21_000
+    assert facts["on_s"] == 17.0
+    assert facts["on_timing"]["cycles"] == 17_000
     assert {c["name"] for c in facts["checks"]} >= {
         "corrected: ledger exact",
         "corrected: the machine was given what was commanded",

@@ -55,11 +55,11 @@ def edge_walk(a: Bytes, b: Bytes) -> tuple[Ints, list[int]]:
 
 
 def unwrapped(a: Bytes, b: Bytes) -> tuple[Ints, list[int]]:
-    """Second oracle: the angle of the two lines in quarter turns, unwrapped; half turns are illegal."""
-    angle = np.array([[0, 3], [1, 2]], np.int64)[a, b]
-    step = np.diff(np.unwrap(angle, period=4), prepend=angle[0])
-    half = np.abs(step) == 2
-    return np.cumsum(np.where(half, 0, step)), np.flatnonzero(half).tolist()
+    """Second oracle: how the angle of the two lines, in quarter turns, changes; half turns are illegal."""
+    angle = np.array([[0, 3], [1, 2]], np.int8)[a, b]
+    step = (np.diff(angle, prepend=angle[:1]) + 1) % 4 - 1
+    half = step == 2
+    return np.cumsum(np.where(half, 0, step), dtype=np.int64), np.flatnonzero(half).tolist()
 
 
 DECODERS = (edge_walk, unwrapped)

@@ -12,7 +12,7 @@ comparisons of shapes.
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -96,8 +96,19 @@ class Variant:
     squares: Floats
 
 
-WeighedChunk = list[tuple[Variant, Single, Floats]]
-"""Variants of a chunk, each with its directions at the readings that are kept, (kept, count), and their products."""
+@dataclass(frozen=True)
+class WeighedChunk:
+    """Variants of a chunk that the base does not absorb.
+
+    Attributes:
+        variants: with the first direction of each among those of the chunk.
+        directions: of all, at the readings that are kept, (directions, kept).
+        along: their products with the residual, (directions,).
+    """
+
+    variants: list[Variant]
+    directions: Single
+    along: Floats
 
 
 @dataclass(frozen=True)
@@ -366,46 +377,54 @@ class _Weighed:
         moved = np.maximum.reduceat(moves * usual, first) > UNMOVED
         white = self.projected.whitener(chunk.columns)
         before = norms(white)
-        left = self.projected.take_out(white)
-        size = np.stack([before, norms(left)], axis=1)
-        left /= np.where(before > 0, before, 1.0)
-        gram, along = left.T @ left, left.T @ self.projected.left
-        found: dict[int, tuple[Floats, Floats]] = {}
+        # A column's readings one after the other in memory: the columns of a variant are multiplied with each other.
+        left = np.ascontiguousarray(self.projected.take_out(white).T)
+        size = np.stack([before, np.sqrt(np.einsum("ij,ij->i", left, left))], axis=1)
+        left /= np.where(before > 0, before, 1.0)[:, None]
+        along = left @ self.projected.left
+        kept = left if self.keep is None else left[:, self.keep] * self.more
+        turned: dict[int, tuple[Single, Floats]] = {}
         for width in np.unique(chunk.widths[moved]).tolist():
             mine = np.flatnonzero(moved & (chunk.widths == width))
             at = first[mine][:, None] + np.arange(width)
-            for v, turn in zip(mine.tolist(), _turns(gram, at), strict=True):
-                if turn.shape[1]:
-                    found[v] = turn, along[first[v] : first[v] + width] @ turn
-        kept = left if self.keep is None else left[self.keep] * self.more
-        out = []
-        for v, (turn, products) in sorted(found.items(), key=lambda f: f[0]):
-            part = slice(first[v], first[v] + len(turn))
-            variant = Variant(
-                int(chunk.which[v, 0]), int(chunk.which[v, 1]), 0, len(products), size[part], squares[part]
-            )
-            out.append((variant, (kept[:, part] @ turn).astype(np.float32), products))
-        return out
+            for good, turn in _turns(left[at]):
+                new = turn.transpose(0, 2, 1)
+                times = np.multiply if width == 1 else np.matmul
+                made = times(new, kept[at[good]]).astype(np.float32), times(new, along[at[good]][:, :, None])[:, :, 0]
+                turned |= zip(mine[good].tolist(), zip(*made, strict=True), strict=True)
+        variants, there = [], sorted(turned)
+        for v, start in zip(there, itertools.accumulate((len(turned[v][1]) for v in there), initial=0), strict=False):
+            part, (candidate, theta) = slice(first[v], first[v] + chunk.widths[v]), chunk.which[v].tolist()
+            variants.append(Variant(candidate, theta, start, len(turned[v][1]), size[part], squares[part]))
+        if not there:
+            return WeighedChunk([], np.empty((0, kept.shape[1]), dtype=np.float32), np.empty(0))
+        return WeighedChunk(variants, *(np.concatenate([turned[v][i] for v in there]) for i in (0, 1)))
 
     def append(self, weighed: WeighedChunk) -> None:
         """Append the result of a chunk to those of earlier chunks."""
-        for variant, directions, products in weighed:
-            here = slice(self.width, self.width + variant.count)
-            self.variants.append(replace(variant, first=self.width))
-            self.directions[:, here] = directions
-            self.along[here] = products
-            self.width += variant.count
+        here = slice(self.width, self.width + len(weighed.along))
+        for v in weighed.variants:
+            self.variants.append(Variant(v.candidate, v.theta, self.width + v.first, v.count, v.size, v.squares))
+        self.directions[:, here] = weighed.directions.T
+        self.along[here] = weighed.along
+        self.width = here.stop
 
 
-def _turns(gram: Floats, at: Ints) -> list[Floats]:
-    """Matrices that turn columns into orthonormal directions, (k, count) each.
+def _turns(left: Floats) -> Iterator[tuple[Ints, Floats]]:
+    """Matrices that turn columns into orthonormal directions, for variants with the same number of these at a time.
 
     Args:
-        gram: inner products of columns less the base, divided by their norms before, (columns, columns).
-        at: column numbers of each variant, (variants, k).
+        left: columns less the base, divided by their norms before, (variants, k, readings).
+
+    Yields:
+        Numbers of some variants, (some,), and their matrices, (some, k, count); none for a variant without directions.
     """
-    value, vector = np.linalg.eigh(gram[at[:, :, None], at[:, None, :]])
-    return [b[:, a > ABSORBED**2] / np.sqrt(a[a > ABSORBED**2]) for a, b in zip(value, vector, strict=True)]
+    value, vector = np.linalg.eigh(left @ left.transpose(0, 2, 1))
+    # In rising order, so the directions that the base absorbs come first.
+    counts = (value > ABSORBED**2).sum(axis=1)
+    for count in np.unique(counts[counts > 0]).tolist():
+        good = np.flatnonzero(counts == count)
+        yield good, vector[good, :, -count:] / np.sqrt(value[good, None, -count:])
 
 
 def norms(columns: Floats) -> Floats:

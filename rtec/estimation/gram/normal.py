@@ -84,6 +84,8 @@ class Normal:
     @cached_property
     def by_fold(self) -> Floats:
         """Sum over the blocks of each fold, (folds, columns + 1, columns + 1)."""
+        if np.array_equal(self.fold, self.fold_numbers):
+            return self.gram  # every block is a fold; the sums are large, and each copy takes its time
         return np.stack([self.gram[self.fold == f].sum(axis=0) for f in self.fold_numbers])
 
     def by_source(self) -> Floats:
@@ -124,9 +126,10 @@ class Normal:
         free = self.readings - self.lost
         out = []
         for fold, source in pairs:
-            here = (self.fold == fold) & (self.source == source)
+            here = np.flatnonzero((self.fold == fold) & (self.source == source))
             number = int(np.searchsorted(self.fold_numbers, fold))
-            out.append(Cell(number, source, np.asarray(self.gram[here].sum(axis=0)), max(float(free[here].sum()), 1.0)))
+            gram = self.gram[here[0]] if len(here) == 1 else np.asarray(self.gram[here].sum(axis=0))
+            out.append(Cell(number, source, gram, max(float(free[here].sum()), 1.0)))
         return tuple(out)
 
     @property

@@ -207,8 +207,11 @@ class AffineInstrument(Instrument):
 def point(machine: Machine, direction: Letter, offset_mm: Vector = ORIGIN) -> Floats:
     """Arms of a point beside the tool tip along a machine direction, (components, 1 + axes); µm per µm or µrad."""
     row = "XYZ".index(direction)
+    second, third = (row + 1) % 3, (row + 2) % 3
     out: Floats = machine.chain.terms[row].copy()
-    out[:, 0] += np.cross(machine.chain.turns.T, np.asarray(offset_mm, dtype=np.float64))[:, row] * MM_URAD_TO_UM
+    turns = machine.chain.turns
+    # One row of the cross product of each turn with the offset.
+    out[:, 0] += (turns[second] * offset_mm[third] - turns[third] * offset_mm[second]) * MM_URAD_TO_UM
     return out
 
 
