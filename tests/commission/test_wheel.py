@@ -53,21 +53,7 @@ def bin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # The dependencies; the path files in that folder, among them rtec's own editable one, have no effect from here.
     (place,) = (environment / "lib").glob("python*/site-packages")
     (place / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
-    _with_machine_code(place)
     return environment / "bin"
-
-
-def _with_machine_code(place: Path) -> None:
-    """Take along what numba compiled from the same files here; it looks at their age, size and bytecode."""
-    for folder in (ROOT / "rtec", ROOT / "drivers" / "rtec_drivers"):
-        for made in folder.rglob("__pycache__/*.nb[ic]"):
-            name = made.relative_to(folder.parent)
-            source = folder.parent / name.parents[1] / f"{made.name.partition('.')[0]}.py"
-            installed = place / source.relative_to(folder.parent)
-            if source.is_file() and installed.is_file() and installed.read_bytes() == source.read_bytes():
-                (place / name.parent).mkdir(exist_ok=True)
-                shutil.copy(made, place / name)
-                os.utime(installed, ns=(source.stat().st_atime_ns, source.stat().st_mtime_ns))
 
 
 def test_an_empty_folder_reaches_run_demo_and_tutorial(bin_folder: Path, tmp_path: Path) -> None:
