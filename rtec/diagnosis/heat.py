@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,12 +84,12 @@ def lag_assumed(readings: Readings, effect: Effect, theta: Mapping[str, float]) 
     return (text,)
 
 
-def warm_up_curves(readings: Readings, effect: Effect, part: Floats) -> Sequence[Floats]:
+def warm_up_curves(readings: Readings, channels: Collection[str], part: Floats) -> Sequence[Floats]:
     """Warm-up curves of an instrument, and its cooling once it is off, where they may explain an effect.
 
     Args:
         readings: the readings.
-        effect: it explains the readings; an effect that depends on a position is no instrument's.
+        channels: of what explains the readings; what depends on a position is no instrument's.
         part: its contribution to the readings, (m,).
 
     Returns:
@@ -98,7 +98,7 @@ def warm_up_curves(readings: Readings, effect: Effect, part: Floats) -> Sequence
     machine = readings.machine
     places = {c for a in machine.axes for c in a.moving_channels}
     moved = [s for s in readings.series if float(np.ptp(part[s.part])) > 0.0]
-    if set(effect.channels(machine)) & places or any(float(np.ptp(part[s.part])) > INSTRUMENT for s in moved):
+    if set(channels) & places or any(float(np.ptp(part[s.part])) > INSTRUMENT for s in moved):
         return ()
     return [np.stack([_warming(readings, s, *at) for s in moved], axis=1) for at in itertools.product(WARM, OFF)]
 
@@ -156,11 +156,10 @@ def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> 
     return None
 
 
-def own_warm_up(effect: Effect) -> Doubt:
-    """Doubt that the warm-up of an instrument itself gives the same curve as an effect."""
+def own_warm_up(label: str) -> Doubt:
+    """Doubt that the warm-up of an instrument itself gives the same curve as an effect of this name."""
     message = (
-        f"{label_of(effect)} explains the residual no better than an instrument that warms up by itself from its first "
-        "reading on."
+        f"{label} explains the residual no better than an instrument that warms up by itself from its first reading on."
     )
     step = "Measure again once the instrument has been on for hours, or record it capped for the same time."
     return Doubt("instrument_warm_up", message, step, fatal=True)

@@ -167,9 +167,9 @@ def test_what_depends_on_a_position_or_is_large_is_no_instrument() -> None:
         _effect("mount_expansion", component="EXX", sensor=sensor),
         _effect("axis_expansion", component="EXX", axis="X", sensor=sensor),
     )
-    assert warm_up_curves(readings, grows, part)
-    assert not warm_up_curves(readings, grows, 3.0 * part)
-    assert not warm_up_curves(readings, along, part)
+    assert warm_up_curves(readings, grows.channels(readings.machine), part)
+    assert not warm_up_curves(readings, grows.channels(readings.machine), 3.0 * part)
+    assert not warm_up_curves(readings, along.channels(readings.machine), part)
 
 
 def test_effects_that_explain_other_parts_are_no_rivals() -> None:

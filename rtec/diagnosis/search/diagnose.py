@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
-from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
+from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown, label_of
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.not_found import ALPHA, SURE
@@ -230,8 +230,7 @@ class _Search:
             numbers = [t.number for t in pair]
             refitted = [*pair, *(t for t in refitted if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
-        if unknown is not None and set(unknown.channels) == {"time_s"} and unknown.shape == "smooth":
-            self.doubts, unknown = (*self.doubts, only_time(readings)), None
+        unknown = unknown if unknown is None or not self._of_instrument(unknown) else None
         undecided = None if accepted and named else self._undecided(refitted)
         if undecided is not None and unknown is not None:
             undecided = undecided if beats_drift(undecided[1], self._top_shape) else None
@@ -308,7 +307,7 @@ class _Search:
         """Curves of an instrument that warms up, (m, k), where they explain the readings nearly as well; or None."""
         width = self.prepared.base.shape[1]
         part = best.columns @ best.fit.values[width : width + best.columns.shape[1]]
-        curves = warm_up_curves(self.readings, self.candidates[best.number].effect, part)
+        curves = warm_up_curves(self.readings, self._channels(best), part)
         if not curves:
             return None
         evidence, columns = self.refits.of_curves(curves, 2)
@@ -328,7 +327,7 @@ class _Search:
             before, evidence = t.fit.log_likelihood, t.log_evidence
             last, first = members[-1], self.prepared.base.shape[1] if t.before is None else t.before
             part = t.columns @ last.fit.values[first : first + t.columns.shape[1]]
-            mine = warm_up_curves(self.readings, self.candidates[t.number].effect, part)
+            mine = warm_up_curves(self.readings, self._channels(t), part)
             others = [o.columns for o in members if o is not t]
             whole = last.fit.log_likelihood - start - last.log_evidence
             curves += [mine] if mine else []
@@ -346,9 +345,27 @@ class _Search:
         self._doubt_warm_up(instruments[0], fatal=not out)
         return self.refits.in_order(out)
 
+    def _channels(self, t: Refitted) -> tuple[str, ...]:
+        return self.candidates[t.number].effect.channels(self.model.machine)
+
+    def _of_instrument(self, unknown: Unknown) -> bool:
+        """Whether what has no name follows the time alone, or no better than an instrument that warms up: a doubt."""
+        top, width = self._top_shape, self.prepared.base.shape[1]
+        if unknown.shape != "smooth" or top is None:
+            return False
+        if set(unknown.channels) == {"time_s"}:
+            self.doubts = (*self.doubts, only_time(self.readings))
+            return True
+        part = top.columns @ top.fit.values[width : width + top.columns.shape[1]]
+        curves = warm_up_curves(self.readings, unknown.channels, part)
+        if not curves or top.log_evidence - self.refits.of_curves(curves, 2)[0] >= SURE:
+            return False
+        self.doubts = (*self.doubts, own_warm_up(f"A curve over {' and '.join(unknown.channels)}"))
+        return True
+
     def _doubt_warm_up(self, t: Refitted, fatal: bool = False) -> None:
         """Doubt that an instrument explains a candidate; once."""
-        doubt = replace(own_warm_up(self.candidates[t.number].effect), fatal=fatal)
+        doubt = replace(own_warm_up(label_of(self.candidates[t.number].effect)), fatal=fatal)
         self.doubts = (*(d for d in self.doubts if d.kind != doubt.kind), doubt)
 
     def _apart_from_warm_up(self, refitted: list[Refitted]) -> list[Refitted]:
