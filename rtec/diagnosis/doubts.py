@@ -74,6 +74,8 @@ SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and number of places in the grid."""
 AS_GOOD = 1.1
 """An explanation whose residual is within this factor of another's is equally good."""
+FAR_LESS = 0.75
+"""Or, with the model's own numbers refitted, below this share of what the edit leaves."""
 THIN = 200
 """Fewest readings for the first search of the place."""
 LATE, LATES = 1 / 3, 41
@@ -254,8 +256,20 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
 
     if any(without(f.effect, f.theta) < AS_GOOD * found.residual for f in judged.model.effects):
         return False
-    simple = (c.effect for c in library(readings)[0] if _simple(c.effect, judged.model.machine))
-    return not any(AS_GOOD * without(e, {}) < found.residual for e in simple)
+    own = floor.cleaned(readings, judged.base.columns)
+
+    def with_it(effect: Effect) -> float:
+        columns = np.concatenate([own, floor.cleaned(readings, readings.columns(effect, {}))], axis=1)
+        return judged.pooled(judged.left - columns @ solve(columns, judged.left))
+
+    simple = [c.effect for c in library(readings)[0] if _simple(c.effect, judged.model.machine)]
+    if any(AS_GOOD * without(e, {}) < found.residual for e in simple):
+        return False
+    # One that changes with time would follow a drift.
+    machine = judged.model.machine
+    places = {c for a in machine.axes for c in a.moving_channels}
+    fixed = [e for e in simple if set(e.channels(machine)) <= places]
+    return not any(with_it(e) < FAR_LESS * found.residual for e in fixed)
 
 
 def _simple(effect: Effect, machine: Machine) -> bool:

@@ -304,12 +304,24 @@ def test_a_moved_origin_is_seen_under_a_drift(seed: int) -> None:
     assert d.verdict == "undecided"
 
 
-@pytest.mark.parametrize(("seed", "noise"), [(87020, "heavy"), (87059, "white")])
-def test_an_effect_that_explains_far_more_than_a_moved_origin_is_named(seed: int, noise: str) -> None:
-    """The guide is curved, and the model has a parabola, which moved by a little is nearly as steep. Oracle: hidden."""
-    hidden = generated(Case("singles", seed, "angular", noise, ("guide_curvature",)))
+@pytest.mark.parametrize(
+    ("seed", "kind", "noise", "effect"),
+    [
+        (87020, "angular", "heavy", "guide_curvature"),
+        (87059, "angular", "white", "guide_curvature"),
+        (88023, "laser", "heavy", "scale"),
+    ],
+)
+def test_an_effect_that_explains_far_more_than_a_moved_origin_is_named(
+    seed: int, kind: str, noise: str, effect: str
+) -> None:
+    """A straight line is missing; the model has a parabola, which moved by a little is nearly as steep.
+
+    Oracle: the hidden effect.
+    """
+    hidden = generated(Case("singles", seed, kind, noise, (effect,)))
     m = measurement_of(hidden)
     d = diagnose(base_model(hidden, m), [m], draws=50)
     assert kinds(d.doubts) == []
     assert d.findings[0].accepted
-    assert d.findings[0].effect.effect == "guide_curvature"
+    assert d.findings[0].effect.effect == effect

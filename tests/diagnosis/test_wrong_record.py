@@ -118,5 +118,6 @@ def test_numbers_do_not_follow_an_instrument_that_warms_up(seed: int) -> None:
     m = day(KNOWN, seed, {"air_degc": 20.0, "body": {"T_bed": {"on_degc": 4.0}}})
     warms = {k: v - 1.2 * (1.0 - np.exp(-m.time_s / 3600.0)) for k, v in m.readings.items()}
     done = improve(fitted(), [replace(m, readings=warms)], draws=50)
-    assert done.reason == "unknown_effect"
+    assert done.reason == "undecided"
+    assert [d.kind for d in done.diagnoses[-1].doubts] == ["instrument_warm_up"]
     assert done.model.hash == fitted().hash
