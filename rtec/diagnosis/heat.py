@@ -175,7 +175,9 @@ def only_time(readings: Readings) -> Doubt:
     return Doubt("instrument_warm_up", message, step, fatal=True)
 
 
-def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None) -> Doubt | None:
+def unrecorded_heat(
+    readings: Readings, fit: Fit, named_um: float | None = None, named: Floats | None = None
+) -> Doubt | None:
     """Doubt where the residual grows and falls over hours, unexplained by any recorded channel; None where it does not.
 
     Args:
@@ -184,15 +186,19 @@ def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None)
         named_um: contribution of the named effect (root mean square), where that is no heat; the doubt is raised
             beside it if more grows and falls, and no smooth function of positions, directions, speeds and load explains
             that. None where nothing is named: then it is raised if no temperature varied.
+        named: columns of the named effects, (m, k): only series that they move are looked at; None for all.
     """
     if named_um is None and _temperature_varied(readings):
         return None
-    slow, memory, s = max((_slow(fit, fit.whitener, i) for i in range(len(readings.series))), key=lambda f: f[0])
+    looked = [i for i, s in enumerate(readings.series) if named is None or np.ptp(named[s.part], axis=0).any()]
+    if not looked:
+        return None
+    slow, memory, s = max((_slow(fit, fit.whitener, i) for i in looked), key=lambda f: f[0])
     if slow <= (named_um or 0.0):
         return None
     if named_um is not None:
         noise = noise_on_stretches(readings, lambda few, keep: flexible_columns(few, fit.columns[keep], warm=False))
-        slow, memory, s = max((_slow(fit, noise, i) for i in range(len(readings.series))), key=lambda f: f[0])
+        slow, memory, s = max((_slow(fit, noise, i) for i in looked), key=lambda f: f[0])
         if slow <= named_um:
             return None
     m = readings.measurements[s.source]

@@ -21,6 +21,9 @@ from rtec.metrology.files.load import load_measurement
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from tests.discovery.generator.cases import Case
+from tests.discovery.generator.dataset import build as generated
+from tests.discovery.translate import base_model, measurement_of
 from tests.support.diagnosis_examples import effects, small_machine, write_laser, write_machine
 
 
@@ -239,3 +242,13 @@ def test_what_only_follows_the_time_is_no_effect_of_the_machine(what: str, seed:
     assert d.unknown is None
     assert [x.kind for x in d.doubts] == ["instrument_warm_up"]
     assert "with the time of the record and with nothing else" in d.sentence
+
+
+def test_what_grows_in_other_readings_puts_no_effect_in_doubt() -> None:
+    """Squareness moves the tip along X while a reading along Z grows for hours. Oracle: the hidden effect."""
+    hidden = generated(Case("singles", 88031, "tool_tip", "steps", ("squareness",)))
+    m = measurement_of(hidden)
+    d = diagnose(base_model(hidden, m), [m], draws=50)
+    assert d.verdict == "missing_effect"
+    assert d.findings[0].label == "squareness(EC0Y)"
+    assert [(x.kind, x.fatal) for x in d.doubts] == [("no_temperature", False)]

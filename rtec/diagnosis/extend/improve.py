@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from typing import Any, ClassVar, Literal
 
 from rtec.diagnosis.extend.add import (
@@ -43,6 +44,8 @@ AT_FLOOR = 1.05
 MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
+TRIED = 6
+"""This many further temperatures are added on trial."""
 VISIBLE = 0.35
 """A further temperature must lower the error on held-out runs by more than this multiple of the noise floor, in
 squares: what hides in the noise is not worth an effect that names no cause and may act more strongly on another day."""
@@ -332,7 +335,7 @@ class _Growth:
 
     def _further(self, model: Model) -> Added | None:
         """A further temperature of an effect of the model, where it predicts held-out runs better."""
-        for new in further_temperatures(Judgement(model, self.given)):
+        for new in islice(further_temperatures(Judgement(model, self.given)), TRIED):
             try:
                 added = add(model, [new], self.measurements, stage=self.stage, given=self.given, own=self.own)
             except ModelError:

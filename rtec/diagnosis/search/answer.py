@@ -324,8 +324,8 @@ class _Answer:
     def _slow_beside(self, first: Refitted, size_um: float) -> Doubt | None:
         """Doubt where more grows and falls slowly than the named effects explain, even if a candidate explains a part.
 
-        An effect that is as significant where each run has a slope of its own is no part of that growth; it is then
-        reported beside it.
+        An effect that is as significant where slopes change as slowly, or that moves other readings, is no part of that
+        growth; it is then reported beside it.
         """
         refits, odds = self.s.refits, self.s.prior_odds
         last = self.s.chain[-1] if self.s.chain else first
@@ -337,6 +337,8 @@ class _Answer:
             best = max(sure, key=lambda t: t.log_evidence, default=first)
             slow = slow if best is first else unrecorded_heat(self.readings, best.fit, size_um)
         apart = first.drop >= NOTHING_MUCH and refits.beside_slopes(first) - odds >= SURE
+        named = np.concatenate([t.columns for t in self.s.chain or [first]], axis=1)
+        apart |= unrecorded_heat(self.readings, last.fit, size_um, named) is None
         return replace(slow, fatal=False) if slow is not None and apart else slow
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
