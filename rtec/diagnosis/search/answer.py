@@ -291,7 +291,9 @@ class _Answer:
             f.effect.effect == "cyclic_screw" and getattr(f.effect, "axis", None) == axis for f in self.s.model.effects
         ):
             return None  # the model has the wave once a turn: the pitch is right
-        return pitch_in_doubt(effect, winner.theta, self.s.model.machine)
+        first = self._first(winner)
+        numbers = winner.fit.values[first : first + winner.columns.shape[1]]
+        return pitch_in_doubt(effect, winner.theta, self.s.model.machine, numbers)
 
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Doubts about the record, and about the machine file where the finding raises them."""

@@ -154,22 +154,36 @@ AT_PITCH = 0.03
 """A period within this relative distance of the screw's pitch is that of the screw."""
 ASKS = ("cyclic_pole", "coupling_misalignment")
 """Waves that a screw of another pitch causes as well."""
+ABSENT = 0.1
+"""A harmonic below this share of the largest is absent."""
 LONGEST_PITCH_MM = 60.0
 """No screw has a longer pitch."""
 
 
-def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine) -> Alike | None:
+def pitch_in_doubt(
+    effect: Effect, theta: Mapping[str, float], machine: Machine, numbers: NDArray[np.float64]
+) -> Alike | None:
     """A wave whose period is not the machine file's pitch: the file may be wrong; None for anything else.
 
     Twice a turn without a wave once a turn may be a screw of half the pitch or a coupling.
+
+    Args:
+        effect: the wave.
+        theta: its parameters.
+        machine: whose file is asked about.
+        numbers: its coefficients, (k,).
     """
-    period = period_mm(effect, theta)
-    if effect.effect not in ASKS or period is None or period > LONGEST_PITCH_MM:
+    period, part = period_mm(effect, theta), _part_of_turn(effect, numbers)
+    if period is not None and part > 1:
+        period /= part
+    elif effect.effect not in ASKS:
+        return None
+    if period is None or period > LONGEST_PITCH_MM:
         return None
     axis = machine.axis(str(getattr(effect, "axis", "")))
     if axis.pitch_mm is None or abs(period / axis.pitch_mm - 1.0) < AT_PITCH:
         return None
-    fits = "as well" if effect.effect == "coupling_misalignment" else "better"
+    fits = "as well" if effect.effect in ("coupling_misalignment", "cyclic_screw") else "better"
     why = (
         f"a screw of pitch {significant(period, 3)} mm makes the same wave, and the machine file says pitch_mm = "
         f"{axis.pitch_mm:g}: these readings fit {fits} with {significant(period, 3)}"
@@ -178,6 +192,16 @@ def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine)
     return Alike(
         "cyclic_screw", effect.component, why, test, label=f"cyclic_screw({effect.component}) of another pitch_mm"
     )
+
+
+def _part_of_turn(effect: Effect, numbers: NDArray[np.float64]) -> int:
+    """How many times a screw's wave repeats in a turn: 2 where only even harmonics are there; 1 for others."""
+    if effect.effect != "cyclic_screw":
+        return 1
+    size = np.hypot(numbers[0::2], numbers[1::2])
+    most = int(np.argmax(size)) + 1
+    others = [v for k, v in enumerate(size, 1) if k % most]
+    return most if others and max(others) < ABSENT * float(size.max()) else 1
 
 
 PERIODS = ("pitch", "period")
