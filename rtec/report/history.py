@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtec.diagnosis.extend.add import Added
+from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import Improved
 from rtec.diagnosis.extend.record_event import words
 from rtec.diagnosis.words import UNITS, sentence, spoken
@@ -32,6 +33,23 @@ WHY_ENDED = {
 }
 
 
+def fell(before: Errors, after: Errors, unit: str) -> str:
+    """How the residual on held-out runs fell, in words: beyond slow drift, where only that did.
+
+    Args:
+        before, after: the errors.
+        unit: of both, as in words.
+    """
+    one, two = two_numbers(before.held_out, after.held_out)
+    if after.held_out <= before.held_out:
+        return f"fell from {one} to {two} {unit}"
+    sharp, sharper = two_numbers(before.beyond_drift, after.beyond_drift)
+    return (
+        f"is {two} {unit}, as before mostly slow drift that no recorded channel explains; beyond that drift it fell "
+        f"from {sharp} to {sharper} times the noise"
+    )
+
+
 def added_page(a: Added, figures: bool = True) -> Page:
     """The error before and after an addition.
 
@@ -47,6 +65,8 @@ def added_page(a: Added, figures: bool = True) -> Page:
         f"With {what} the residual on held-out runs is {after} {unit}, before it was {before} {unit}; the noise floor "
         f"is {sizes(a.floor)[0]} {unit}."
     )
+    if a.better and a.after.held_out > a.before.held_out:
+        lead = f"With {what} the residual on held-out runs {fell(a.before, a.after, unit)}."
     return Page(
         "Before and after",
         lead,
@@ -87,9 +107,8 @@ def _before_and_after(a: Added) -> Section:
 
 def _refit_words(refit: Added) -> str:
     """The error before and after a refit of the model's own numbers."""
-    before, after = two_numbers(refit.before.held_out, refit.after.held_out)
-    unit = UNITS[refit.unit]
-    return f"The model's own numbers were out of date; refitted, the residual fell from {before} to {after} {unit}. "
+    went = fell(refit.before, refit.after, UNITS[refit.unit])
+    return f"The model's own numbers were out of date; refitted, the residual on held-out runs {went}. "
 
 
 def improved_page(r: Improved, figures: bool = True) -> Page:
@@ -105,11 +124,11 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     else:
         first, last = r.steps[0], r.steps[-1]
         unit = UNITS[last.unit]
-        before, after = two_numbers(first.before.held_out, last.after.held_out)
+        went = fell(first.before, last.after, unit)
         added = counted(sum(len(s.labels) for s in r.steps), "effect")
         lead = (
-            f"{refit}{added} added: the residual on held-out runs fell from {before} to "
-            f"{after} {unit}; the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {_why_ended(r)}."
+            f"{refit}{added} added: the residual on held-out runs {went}; "
+            f"the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {_why_ended(r)}."
         )
     if r.events:
         lead = f"{lead} {words(r.events)}"
@@ -152,9 +171,9 @@ def history_page(h: History, figures: bool = True) -> Page:
         return Page(f"History of {model.name}", lead, [], [])
     unit = UNITS.get(steps[-1]["unit"], steps[-1]["unit"])
     errors = stairs(steps)[1]
-    fell = sizes(errors[-1])[0] if errors[0] == errors[-1] else " to ".join(two_numbers(errors[0], errors[-1]))
-    went = "is" if errors[0] == errors[-1] else "fell from"
-    lead = f"{counted(len(steps), 'change')}: the residual on held-out runs {went} {fell} {unit}."
+    now = sizes(errors[-1])[0] if errors[0] == errors[-1] else " to ".join(two_numbers(errors[0], errors[-1]))
+    went = "is" if errors[0] == errors[-1] else "fell from" if errors[-1] < errors[0] else "went from"
+    lead = f"{counted(len(steps), 'change')}: the residual on held-out runs {went} {now} {unit}."
     return Page(f"History of {model.name}", lead, [], history_sections(model, figures))
 
 

@@ -393,14 +393,11 @@ class RefitQuestion:
 
     Attributes:
         what: the further temperature; empty for a refit.
-        before, after: error on held-out runs.
-        unit: unit of both.
+        fell: how the residual on held-out runs fell, in words.
     """
 
     what: str
-    before: float
-    after: float
-    unit: str
+    fell: str
 
 
 @dataclass(frozen=True)
@@ -418,6 +415,8 @@ class StepQuestion:
 
 def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> str:
     """Improve step by step, with a question before each; give the reason why it ended, in a sentence."""
+    from rtec.diagnosis.words import UNITS
+    from rtec.report.history import fell
 
     def ask(step: "ProposedStep") -> "Finding | None":
         d = step.diagnosis
@@ -425,9 +424,7 @@ def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, 
         return next((f for f in d.findings if f.rank == rank), None)
 
     def ask_made(made: "Added") -> bool:
-        return bool(
-            line.ask(RefitQuestion(", ".join(made.labels), made.before.held_out, made.after.held_out, made.unit))
-        )
+        return bool(line.ask(RefitQuestion(", ".join(made.labels), fell(made.before, made.after, UNITS[made.unit]))))
 
     def keep(made: "Added") -> None:
         line.ask(StepDone(_view_of(line, made, files, named)))

@@ -14,6 +14,7 @@ from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from rtec.report.history import improved_page
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build, model_error, oracle_cut
 from tests.discovery.translate import base_model, measurement_of, said_by
@@ -321,3 +322,5 @@ def test_numbers_that_a_drift_hides_are_refitted_with_what_is_new(seed: int, eff
     last = done.steps[-1]
     told = any("mostly slow drift" in n for n in last.notes)
     assert told is (last.after.held_out > 0.98 * last.before.held_out)
+    lead = improved_page(done, figures=False).lead
+    assert ("beyond that drift it fell from" in lead) is (last.after.held_out > done.steps[0].before.held_out)

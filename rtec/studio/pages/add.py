@@ -36,7 +36,7 @@ from rtec.tasks import model as model_tasks
 from rtec.tasks.jobs import Cancelled, Job
 from rtec.tasks.model import CompareView, EffectRequest, RefitQuestion, StepQuestion
 from rtec.tasks.report import ShownResidual, marked_rows
-from rtec.wording import percent, probability, significant, two_numbers
+from rtec.wording import percent, probability, significant
 
 HELP: Final = (
     "Positions x, y, z in mm; d_x is the direction of motion, -1 or +1; v_x velocity in mm/s; s_x distance since X "
@@ -110,13 +110,11 @@ async def _refit(session: TabSession) -> None:
 def _question(session: TabSession, question: Any) -> None:
     with ui.element("div").classes("card chosen").props('role="alertdialog" aria-label="Question"'):
         if isinstance(question, RefitQuestion):
-            unit = UNITS.get(question.unit, question.unit)
             Words(
                 "h2",
                 f"Add {question.what}, a further temperature?" if question.what else "Refit the model's own numbers?",
             )
-            before, after = two_numbers(question.before, question.after)
-            Words("p", f"The residual on held-out runs falls from {before} to {after} {unit}.")
+            Words("p", f"The residual on held-out runs {question.fell}.")
             with ui.element("div").classes("row"):
                 button("Add" if question.what else "Refit", lambda: session.answer(True), main=True)
                 button("Leave it out" if question.what else "Keep the numbers", lambda: session.answer(False))
