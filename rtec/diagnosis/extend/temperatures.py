@@ -33,7 +33,7 @@ LIKELIER = 50.0
 """How many times likelier the readings must become, for each temperature that is tried."""
 
 ALIKE = 3.0
-"""Gains in log likelihood within such a step are alike: then the error on held-out runs decides."""
+"""Gains in log likelihood within such a step are equally good: then the error on held-out runs decides."""
 
 VARIED_DEGC, TRIMMED = 1.0, (0.01, 0.99)
 """Change of a temperature, between these quantiles, below which it is no further one: on another day it may differ by
