@@ -230,7 +230,7 @@ class _Search:
             numbers = [t.number for t in pair]
             refitted = [*pair, *(t for t in refitted if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
-        unknown = unknown if unknown is None or not self._of_instrument(unknown) else None
+        unknown = unknown if unknown is None or chain or not self._of_instrument(unknown) else None
         undecided = None if accepted and named else self._undecided(refitted)
         if undecided is not None and unknown is not None:
             undecided = undecided if beats_drift(undecided[1], self._top_shape) else None
