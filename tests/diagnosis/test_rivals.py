@@ -256,6 +256,15 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
     assert not asked._disputes(found, winner, fitted(2, 55.0, 0.981))  # the same sensor
 
 
+def test_what_halves_the_held_out_error_of_runs_that_differ_is_said_though_a_drift_is_likelier() -> None:
+    """A column leans while the zero wanders for hours. Oracle: something is hidden, so "nothing is missing" is false."""
+    trial = build("run_level", "column_lean", 83000)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert d.verdict == "undecided"
+    assert d.findings[0].heldout_drop > 0.5
+    assert "the runs differ by 2.40 µm" in d.sentence
+
+
 def test_many_numbers_over_few_runs_are_not_named_where_chance_is_not_excluded() -> None:
     """Noise with heavy tails: a curve of eleven numbers follows the runs. Oracle: nothing is hidden."""
     clean = generated(Case("clean", 82056, "straightness", "heavy", ()))
