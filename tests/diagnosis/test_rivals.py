@@ -257,7 +257,7 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
 
 
 def test_what_halves_the_held_out_error_of_runs_that_differ_is_said_though_a_drift_is_likelier() -> None:
-    """A column leans while the zero wanders for hours. Oracle: something is hidden, so "nothing is missing" is false."""
+    """A column leans while the zero wanders for hours. Oracle: the hidden effect; "nothing is missing" is false."""
     trial = build("run_level", "column_lean", 83000)
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
     assert d.verdict == "undecided"
