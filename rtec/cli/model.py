@@ -140,7 +140,7 @@ def add(
     `rtec add model.toml --refit --data laser-x.csv -o newer.toml`
 
     Refits on the channels as the loop sees them. Writes nothing and ends with status 1 if the error on held-out runs
-    does not fall by 0.1 %, or if only the sum of two effects is determined.
+    does not fall by 0.1 %, nor clearly beyond slow drift, or if only the sum of two effects is determined.
     """
     from rtec import api
     from rtec.cli.common import interruptible, show, stages

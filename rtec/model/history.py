@@ -53,6 +53,7 @@ def steps_of(model: Model) -> list[dict[str, Any]]:
                 "unit": str(entry.get("unit", "um")),
                 "measurements": sorted(entry.get("measurements", ())),
                 "inside": entry.get("rms_inside"),
+                "beyond_drift": (entry.get("beyond_drift_before"), entry.get("beyond_drift_after")),
                 "other_data": moved and not same,
                 "noise_anew": moved and same,
                 "passed_over": [dict(r) for r in entry.get("passed_over", ())],

@@ -236,7 +236,9 @@ def _step_row(s: Mapping[str, Any], digits: int) -> list[str]:
 def _changed(s: Mapping[str, Any]) -> str:
     unit = UNITS.get(s["unit"], s["unit"])
     before, after = two_numbers(s["before"], s["error"])
-    return f"{s['name']}: {before} {unit} before, {after} {unit} after."
+    fall = _beyond_drift(s)
+    beyond = f"; beyond slow drift {fall[0]} times the noise before, {fall[1]} after" if fall else ""
+    return f"{s['name']}: {before} {unit} before, {after} {unit} after{beyond}."
 
 
 def stairs(steps: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[float], float | None]:
@@ -247,11 +249,25 @@ def stairs(steps: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[float], 
     unit = steps[-1]["unit"]
     same = [{**s, "error": e} for s, e in zip(steps, rescaled(steps), strict=True) if s["unit"] == unit]
     begin = max((i for i, s in enumerate(same) if s["other_data"]), default=0)
-    names, errors = [s["name"] for s in same[begin:]], [s["error"] for s in same[begin:]]
+    names, errors = [_named(s) for s in same[begin:]], [s["error"] for s in same[begin:]]
     before = same[begin]["before"]
     if before is not None:
         names, errors = ["before, same measurements" if begin else "as it was", *names], [before, *errors]
     return names, errors, next((float(s["floor"]) for s in reversed(same) if s["floor"] is not None), None)
+
+
+def _named(s: Mapping[str, Any]) -> str:
+    """Name of a step; where a drift hides what it gains, also how the error beyond that drift fell."""
+    fall = _beyond_drift(s)
+    return f"{s['name']}\nbeyond slow drift: {' to '.join(fall)} × noise" if fall else str(s["name"])
+
+
+def _beyond_drift(s: Mapping[str, Any]) -> tuple[str, str] | None:
+    """The error beyond slow drift before and after a step, where only that fell."""
+    before, after = s["beyond_drift"]
+    if before is None or after is None or s["before"] is None or s["error"] < s["before"] or after >= before:
+        return None
+    return two_numbers(before, after)
 
 
 def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
@@ -314,7 +330,7 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.grid(visible=False, axis="x")
-    ax.set_title("The error falls as the model learns")
+    ax.set_title("The error falls as the model learns" if errors[-1] < errors[0] else "The error as the model learns")
     ax.set_ylabel(f"residual on held-out runs, rms, {unit}")
     return figure
 

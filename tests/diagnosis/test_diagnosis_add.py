@@ -14,7 +14,8 @@ from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.report.history import improved_page
+from rtec.model.history import steps_of
+from rtec.report.history import improved_page, stairs
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build, model_error, oracle_cut
 from tests.discovery.translate import base_model, measurement_of, said_by
@@ -323,4 +324,7 @@ def test_numbers_that_a_drift_hides_are_refitted_with_what_is_new(seed: int, eff
     told = any("mostly slow drift" in n for n in last.notes)
     assert told is (last.after.held_out > 0.98 * last.before.held_out)
     lead = improved_page(done, figures=False).lead
-    assert ("beyond that drift it fell from" in lead) is (last.after.held_out > done.steps[0].before.held_out)
+    hidden_by_drift = last.after.held_out > done.steps[0].before.held_out
+    assert ("beyond that drift it fell from" in lead) is hidden_by_drift
+    names, errors, _ = stairs(steps_of(done.model))
+    assert ("beyond slow drift: " in names[-1]) is hidden_by_drift is (errors[-1] > errors[0])

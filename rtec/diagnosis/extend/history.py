@@ -72,6 +72,8 @@ def entry_of(
         "rms_after": after.held_out,
         "rms_inside_before": before.inside,
         "rms_inside": after.inside,
+        "beyond_drift_before": before.beyond_drift,
+        "beyond_drift_after": after.beyond_drift,
         "noise_floor": noise[0],
         "noise_floor_from": noise[1],
         "unit": unit,
