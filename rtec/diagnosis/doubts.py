@@ -250,26 +250,23 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     if found.residual > min(AGAIN * judged.residual, max(by_fit, by_refit)):
         return False
 
-    def without(effect: Effect, theta: Mapping[str, float]) -> float:
-        columns = floor.cleaned(readings, readings.columns(effect, theta))
+    def left_by(columns: Floats) -> float:
         return judged.pooled(judged.left - columns @ solve(columns, judged.left))
 
-    if any(without(f.effect, f.theta) < AS_GOOD * found.residual for f in judged.model.effects):
+    def moved(effect: Effect, theta: Mapping[str, float]) -> Floats:
+        return floor.cleaned(readings, readings.columns(effect, theta))
+
+    if any(left_by(moved(f.effect, f.theta)) < AS_GOOD * found.residual for f in judged.model.effects):
         return False
-    own = floor.cleaned(readings, judged.base.columns)
-
-    def with_it(effect: Effect) -> float:
-        columns = np.concatenate([own, floor.cleaned(readings, readings.columns(effect, {}))], axis=1)
-        return judged.pooled(judged.left - columns @ solve(columns, judged.left))
-
     simple = [c.effect for c in library(readings)[0] if _simple(c.effect, judged.model.machine)]
-    if any(AS_GOOD * without(e, {}) < found.residual for e in simple):
+    if any(AS_GOOD * left_by(moved(e, {})) < found.residual for e in simple):
         return False
     # One that changes with time would follow a drift.
     machine = judged.model.machine
     places = {c for a in machine.axes for c in a.moving_channels}
     fixed = [e for e in simple if set(e.channels(machine)) <= places]
-    return not any(with_it(e) < FAR_LESS * found.residual for e in fixed)
+    own = floor.cleaned(readings, judged.base.columns)
+    return not any(left_by(np.hstack([own, moved(e, {})])) < FAR_LESS * found.residual for e in fixed)
 
 
 def _simple(effect: Effect, machine: Machine) -> bool:

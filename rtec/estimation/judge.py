@@ -151,17 +151,14 @@ class Judgement:
         """Root mean square error on held-out runs, in `unit`."""
         return self._held_out.rms
 
-    @cached_property
-    def untouched(self) -> float:
-        """Root mean square error on held-out runs with the model's current numbers; only the set-up is fitted."""
-        return self.with_own(len(self.model.effects))
-
     def with_own(self, count: int) -> float:
         """Root mean square error on held-out runs if the first effects keep their numbers and all others are refitted.
 
         Args:
             count: number of effects that keep their numbers; none of them was fitted to these readings.
         """
+        if not count:
+            return self.held_out
         alone, columns = self._refitted_to(count)
         weighted, plain = (held_out(replace(w, readings=alone), columns, self.scale) for w in self._weights)
         return (weighted if as_good(weighted, plain) else plain).rms

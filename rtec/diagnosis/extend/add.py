@@ -408,15 +408,10 @@ def _judged(
     grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
     now = Judgement(grown, given)
     was = Judgement(model, given, tuple(now.scale))
-    held, sharp = was.held_out, was.beyond_drift(now.flexible)
-    if fresh:
-        held, sharp = min(held, was.with_own(fresh)), min(sharp, was.beyond_drift(now.flexible, fresh))
-    if not new:
-        held, sharp = was.untouched, was.beyond_drift(now.flexible, len(model.effects))
+    counts = {0, fresh} if new else {len(model.effects)}
+    held, sharp = min(map(was.with_own, counts)), min(was.beyond_drift(now.flexible, c) for c in counts)
     before = Errors(was.residual, was.residual, held, sharp)
-    after_it = Errors(
-        None, now.residual, now.with_own(own) if own else now.held_out, now.beyond_drift(now.flexible, own)
-    )
+    after_it = Errors(None, now.residual, now.with_own(own), now.beyond_drift(now.flexible, own))
     noise, added = now.noise_floor, tuple(labels([*model.effects, *new])[len(model.effects) :])
     entry = entry_of(
         added, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model
