@@ -220,11 +220,16 @@ def heat_by_time(readings: Readings) -> Doubt | None:
 
 
 def _to_record(readings: Readings, s: Series) -> str:
-    """The temperatures that show the heat of a series."""
+    """The temperatures that show the heat of a series, beside those that are recorded."""
     state = readings.states[s.source]
     moves = [a.name for a in readings.machine.axes if float(np.ptp(state.value(a.channel)[s.row])) > 0.0]
-    bodies = [f"the screw or scale of {a}" for a in moves[:1]] + ["spindle", "column", "bed", "air"]
-    return f"Record temperatures of {', '.join(bodies)}."
+    there = [n for n in readings.machine.sensor_names if n in state.channels]
+    axis = {f"the screw or scale of {a}": ("screw", "scale") for a in moves[:1]}
+    bodies = {**axis, **{b: (b,) for b in ("spindle", "column", "bed", "air")}}
+    more = [b for b, words in bodies.items() if not any(w in n.lower() for n in there for w in words)]
+    if not there:
+        return f"Record temperatures of {', '.join(bodies)}."
+    return f"Beside {', '.join(there)}, record temperatures of {', '.join(more or ('other parts',))}."
 
 
 def _slow(fit: Fit, noise: Whitener, number: int) -> tuple[float, float, Series]:

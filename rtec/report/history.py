@@ -227,6 +227,9 @@ def _passed_over(s: Mapping[str, Any]) -> str:
 def _step_row(s: Mapping[str, Any], digits: int) -> list[str]:
     before = s["before"]
     fall = NONE if not before else percent(1.0 - (s["error"] / before) ** 2)
+    if _beyond_drift(s):
+        sharp, sharper = s["beyond_drift"]
+        fall = f"{percent(1.0 - (sharper / sharp) ** 2)} beyond drift"
     floor = NONE if s["floor"] is None else number(float(s["floor"]), digits)
     unit = UNITS.get(s["unit"], s["unit"])
     start, end = (NONE if before is None else number(before, digits)), number(s["error"], digits)

@@ -14,8 +14,8 @@ from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.model.history import steps_of
-from rtec.report.history import improved_page, stairs
+from rtec.model.history import History, steps_of
+from rtec.report.history import history_page, improved_page, stairs
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build, model_error, oracle_cut
 from tests.discovery.translate import base_model, measurement_of, said_by
@@ -328,3 +328,6 @@ def test_numbers_that_a_drift_hides_are_refitted_with_what_is_new(seed: int, eff
     assert ("beyond that drift it fell from" in lead) is hidden_by_drift
     names, errors, _ = stairs(steps_of(done.model))
     assert ("beyond slow drift: " in names[-1]) is hidden_by_drift is (errors[-1] > errors[0])
+    table = history_page(History(done.model), figures=False).sections[0].table
+    assert table is not None
+    assert table.rows[-1][3].endswith(" % beyond drift") is hidden_by_drift
