@@ -154,6 +154,12 @@ def leaner_first(
     return [lead, *(t for t in refitted if t is not lead)]
 
 
+def _first(members: Sequence[Refitted], refitted: Sequence[Refitted]) -> list[Refitted]:
+    """Candidates in their order, but for some that come first."""
+    numbers = [t.number for t in members]
+    return [*members, *(t for t in refitted if t.number not in numbers)]
+
+
 def _rich(members: Sequence[Refitted]) -> bool:
     """Whether one of several effects has many numbers."""
     return any(t.columns.shape[1] > PLAIN for t in members)
@@ -190,23 +196,64 @@ class _Search:
 
     def diagnosis(self) -> Diagnosis:
         """Run the steps and return the answer."""
-        prepared, readings = self.prepared, self.readings
         projected = self._projected
         found = self.refits.weigh_all(projected)
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
-        again = self.refits.refitted(found, self.refits.weigh_without_drift())
-        refitted = self._apart_from_warm_up(led(again, self._prior_odds + SURE, prepared.base, readings))
-        best = refitted[0] if refitted else None
-        accepted = best is not None and self._accepts(best, p)
-        refitted = self._leaner_first(refitted) if accepted else refitted
+        refitted, accepted = self._in_order(found, p)
         best = refitted[0] if refitted else None
         named, share, unknown = self._adequate(best if accepted else None)
-        # An effect that explains next to nothing alone, and is named for what it does beside another, is half a pair.
-        half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
+        pair: tuple[Refitted, Refitted] | None = None
+        chain: list[Refitted] = []
         if self._doubted:
             named, unknown = False, None
-        seek = not self._doubted and (half or not (accepted and named))
+        else:
+            # An effect that explains next to nothing alone, and is named for what it does beside another, is half a
+            # pair.
+            half = named and refitted[0].drop < LITTLE and share is not None and share < LEAST
+            pair, chain, unknown = self._together(refitted, p, unknown, half or not named)
+        if best is not None and named and pair is None and not chain:
+            chain = self._simple_ones(best, refitted)
+        refitted = _first(pair or (), _first(chain[:1], refitted))
+        if pair is not None:
+            share, unknown = 1.0, None
+        if unknown is not None and not chain and self._of_instrument(unknown):
+            unknown = None
+        named = named or bool(chain) or pair is not None
+        undecided = None if named else self._undecided(refitted)
+        if undecided is not None and (unknown is None or beats_drift(undecided[1], self._top_shape)):
+            unknown, refitted = None, _first(undecided[1:], refitted)
+        else:
+            undecided = None
+        return answer(
+            SearchResult(
+                self.model, self.prepared, self.candidates, self.untried, self._prior_odds, projected, found,
+                self.refits, refitted, pair[1].number if pair is not None else None, p, named, share,
+                unknown, self._top_shape, self.seed, self.explain, self._next(refitted, pair, named),
+                self.judged, self.doubts, tuple(chain),
+                undecided[0] if undecided is not None else None,
+            )
+        )  # fmt: skip
+
+    def _in_order(self, found: Screen, p: float) -> tuple[list[Refitted], bool]:
+        """Refitted candidates, the one to be named first; and whether noise alone is an unlikely cause of it."""
+        again = self.refits.refitted(found, self.refits.weigh_without_drift())
+        ordered = led(again, self._prior_odds + SURE, self.prepared.base, self.readings)
+        refitted = self._apart_from_warm_up(ordered)
+        accepted = bool(refitted) and self._accepts(refitted[0], p)
+        return self._leaner_first(refitted) if accepted else refitted, accepted
+
+    def _together(
+        self, refitted: list[Refitted], p: float, unknown: Unknown | None, seek: bool
+    ) -> tuple[tuple[Refitted, Refitted] | None, list[Refitted], Unknown | None]:
+        """A pair that helps only together, effects that are missing together, and what has no name beside them.
+
+        Args:
+            refitted: candidates, the first one first.
+            p: of noise alone.
+            unknown: what has no name if nothing is missing together.
+            seek: whether no single effect is the answer.
+        """
         pair, chain = self._pair(refitted) if seek else (None, [])
         rich, along = pair is not None and _rich(pair), None
         if not chain and unknown is not None and pair is None:
@@ -220,32 +267,7 @@ class _Search:
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
         chain = self._without_instrument(chain)
-        unknown = None if self._doubted else unknown
-        if accepted and named and pair is None and best is not None and not chain:
-            chain = self._simple_ones(best, refitted)
-        if chain:
-            refitted = [chain[0], *(t for t in refitted if t.number != chain[0].number)]
-            accepted, named = True, True
-        if pair is not None:
-            numbers = [t.number for t in pair]
-            refitted = [*pair, *(t for t in refitted if t.number not in numbers)]
-            accepted, named, share, unknown = True, True, 1.0, None
-        unknown = unknown if unknown is None or chain or not self._of_instrument(unknown) else None
-        undecided = None if accepted and named else self._undecided(refitted)
-        if undecided is not None and unknown is not None:
-            undecided = undecided if beats_drift(undecided[1], self._top_shape) else None
-        if undecided is not None:
-            unknown = None
-            refitted = [undecided[1], *(t for t in refitted if t is not undecided[1])]
-        return answer(
-            SearchResult(
-                self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
-                self.refits, refitted, pair[1].number if pair is not None else None, p, accepted and named, share,
-                unknown, self._top_shape, self.seed, self.explain, self._next(refitted, pair, accepted and named),
-                self.judged, self.doubts, tuple(chain),
-                undecided[0] if undecided is not None else None,
-            )
-        )  # fmt: skip
+        return pair, chain, None if self._doubted else unknown
 
     def _leaner_first(self, refitted: list[Refitted]) -> list[Refitted]:
         effects = {t.number: self.candidates[t.number].effect for t in refitted}
