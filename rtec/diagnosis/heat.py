@@ -229,7 +229,7 @@ def _to_record(readings: Readings, s: Series) -> str:
     more = [b for b, words in bodies.items() if not any(w in n.lower() for n in there for w in words)]
     if not there:
         return f"Record temperatures of {', '.join(bodies)}."
-    return f"Beside {', '.join(there)}, record temperatures of {', '.join(more or ('other parts',))}."
+    return f"In addition to {', '.join(there)}, record temperatures of {', '.join(more or ('other parts',))}."
 
 
 def _slow(fit: Fit, noise: Whitener, number: int) -> tuple[float, float, Series]:

@@ -58,7 +58,7 @@ def test_a_shape_beside_heat_that_nothing_recorded_is_no_whole_answer(seed: int)
     begin, after = "record reading_um grows and falls by ", " µm with a memory of "
     assert d.sentence.startswith(begin)
     assert float(d.sentence.removeprefix(begin).split(after)[0]) <= d.rms_residual
-    asks = "Beside T_bed, T_cool, T_air, record temperatures of the screw or scale of X, spindle, column."
+    asks = "In addition to T_bed, T_cool, T_air, record temperatures of the screw or scale of X, spindle, column."
     assert f"unexplained by anything recorded. {asks}" in d.sentence
     assert d.sentence.endswith(", which may be a part of that growth.")
 
