@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 
 LOOSE = 30.0
 """Standard errors that a number may move freely where the same readings are fitted again."""
-LOOSENESS = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 100.0)
+LOOSENESS = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 100.0, 300.0, 1e3, 1e4, 1e5)
 """The values to choose from where the readings are new."""
 NEW = 1e6
 """Standard deviation of the prior of a number without an earlier fit, over its usual size."""
@@ -258,21 +258,26 @@ def _prior(effects: Sequence[FittedEffect], readings: Readings, loose: float) ->
 
 
 def _likeliest(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> float:
-    """The looseness with the largest evidence: the numbers may have changed, or not."""
-    white = whitener(columns)
-    best, most = LOOSE, -np.inf
-    for loose in LOOSENESS:
-        centre, spread = _prior(effects, readings, loose)
-        spread = np.minimum(spread, NEW * 1e3)
-        target = whitener(readings.values - columns @ centre)
-        scaled = white * spread
-        value, vector = np.linalg.eigh(scaled.T @ scaled)
-        value = np.maximum(value, 0.0)
-        seen = vector.T @ (scaled.T @ target)
-        evidence = 0.5 * float(np.sum(seen**2 / (1.0 + value)) - np.sum(np.log1p(value)))
-        if evidence > most:
-            best, most = loose, evidence
-    return best
+    """The looseness with the largest evidence: the numbers may have changed, or not.
+
+    Numbers without an earlier fit and the terms of the set-up may have any size: the readings less these are compared.
+    """
+    centre, spread = _prior(effects, readings, 1.0)
+    known = [bool(f.errors.get(p.name)) for f in effects for p in f.effect.coefficients(readings.machine)]
+    fitted = np.array([*known, *[False] * readings.setup.shape[1]])
+    if not fitted.any():
+        return LOOSE
+    free = whitener(columns[:, ~fitted])
+    both = whitener(np.column_stack([columns[:, fitted] * spread[fitted], readings.values - columns @ centre]))
+    both -= free @ solve(free, both)
+    value, vector = np.linalg.eigh(both[:, :-1].T @ both[:, :-1])
+    seen = vector.T @ (both[:, :-1].T @ both[:, -1])
+    value = np.maximum(value, 0.0)
+
+    def evidence(loose: float) -> float:
+        return float(np.sum((loose * seen) ** 2 / (1.0 + loose**2 * value) - np.log1p(loose**2 * value)))
+
+    return max(LOOSENESS, key=evidence)
 
 
 def _values(

@@ -1,5 +1,6 @@
 """Diagnose and add in turn until nothing significant is missing or the error is at the noise floor."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -44,6 +45,8 @@ AT_FLOOR = 1.05
 MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
+LOOSER = 3.0
+"""A further temperature may make the standard error of another number, if near zero, larger by this factor."""
 TRIED = 6
 """This many further temperatures are added on trial."""
 VISIBLE = 0.35
@@ -340,10 +343,8 @@ class _Growth:
                 added = add(model, [new], self.measurements, stage=self.stage, given=self.given, own=self.own)
             except ModelError:
                 continue
-            last = added.model.effects[-1]
-            known = all(abs(v) > DETERMINED * last.errors.get(n, 0.0) for n, v in last.values.items())
             fall = added.before.held_out**2 - added.after.held_out**2
-            if known and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
+            if _determined(model, added) and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
                 return replace(added, notes=(FURTHER, *added.notes))
         return None
 
@@ -407,6 +408,20 @@ class _Growth:
     def _no_worse(self, added: Added) -> bool:
         """Whether the residual of a model is no larger than that of the start and of every earlier step."""
         return residual_size(added.model.effects, self.given.readings) <= (1.0 + WORTH) * self.best
+
+
+def _determined(before: Model, added: Added) -> bool:
+    """Whether the numbers of the last effect are determined, and those of the others as well as before it."""
+    *others, last = added.model.effects
+
+    def known(f: FittedEffect, name: str) -> bool:
+        return abs(f.values[name]) > DETERMINED * f.errors.get(name, 0.0)
+
+    def as_before(was: FittedEffect, now: FittedEffect, name: str) -> bool:
+        return known(now, name) or now.errors.get(name, 0.0) <= LOOSER * was.errors.get(name, math.inf)
+
+    as_well = (as_before(*two, n) for two in zip(before.effects, others, strict=True) for n in two[1].values)
+    return all(known(last, n) for n in last.values) and all(as_well)
 
 
 def _passed_over(added: Added, rivals: tuple[PassedOver, ...]) -> Added:
