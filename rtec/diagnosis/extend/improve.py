@@ -344,7 +344,8 @@ class _Growth:
             except ModelError:
                 continue
             fall = added.before.held_out**2 - added.after.held_out**2
-            if _determined(model, added) and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
+            sound = _between(added) and _determined(model, added)
+            if sound and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
                 return replace(added, notes=(FURTHER, *added.notes))
         return None
 
@@ -410,8 +411,30 @@ class _Growth:
         return residual_size(added.model.effects, self.given.readings) <= (1.0 + WORTH) * self.best
 
 
+def _same_body(one: FittedEffect, other: FittedEffect) -> bool:
+    """Whether two effects are one by different temperatures."""
+    return (one.effect.effect, one.effect.component) == (other.effect.effect, other.effect.component)
+
+
+def _between(added: Added) -> bool:
+    """Whether a further temperature by another sensor acts in the direction of the others.
+
+    The temperature of a body is a mean of those around it, with weights above zero. One sensor with two delays may have
+    both signs: a body leads or lags.
+    """
+    *others, last = added.model.effects
+    mine = getattr(last.effect, "sensor", None)
+    body = [f for f in others if _same_body(f, last) and getattr(f.effect, "sensor", None) is not None]
+    if mine is None or mine in [getattr(f.effect, "sensor", None) for f in body]:
+        return True
+    return sum(f.values[n] * v for f in body for n, v in last.values.items()) >= 0.0
+
+
 def _determined(before: Model, added: Added) -> bool:
-    """Whether the numbers of the last effect are determined, and those of the others as well as before it."""
+    """Whether the numbers of a further temperature are determined, and those of other effects as well as before it.
+
+    Of the temperatures of one body only the sum needs to be.
+    """
     *others, last = added.model.effects
 
     def known(f: FittedEffect, name: str) -> bool:
@@ -420,8 +443,9 @@ def _determined(before: Model, added: Added) -> bool:
     def as_before(was: FittedEffect, now: FittedEffect, name: str) -> bool:
         return known(now, name) or now.errors.get(name, 0.0) <= LOOSER * was.errors.get(name, math.inf)
 
-    as_well = (as_before(*two, n) for two in zip(before.effects, others, strict=True) for n in two[1].values)
-    return all(known(last, n) for n in last.values) and all(as_well)
+    apart = [(w, now) for w, now in zip(before.effects, others, strict=True) if not _same_body(now, last)]
+    as_well = all(as_before(was, now, n) for was, now in apart for n in now.values)
+    return as_well and all(known(last, n) for n in last.values)
 
 
 def _passed_over(added: Added, rivals: tuple[PassedOver, ...]) -> Added:
