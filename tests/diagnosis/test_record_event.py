@@ -113,3 +113,21 @@ def test_added_by_hand_it_warns() -> None:
     made = add(known(), [new_effect(effect.effect, known(), {"t0": at})], [m])
     assert made.better
     assert any("missed_counts(EXX, X) belongs to this record" in n for n in made.notes)
+
+
+@pytest.mark.parametrize("seed", [2, 6, 8])
+def test_counts_that_are_lost_between_two_runs_are_no_temperature(seed: int) -> None:
+    """The zero jumps by eight times the noise before a run. Oracle: the jump.
+
+    A drift that lasts as long as the record follows it, too; beside that drift another instant seems better.
+    """
+    static = ["scale,component=EXX,axis=X,k=10", "backlash,component=EXX,axis=X,B=2"]
+    m = laser(static, seed, noise={"white_um": 0.4})
+    first = np.flatnonzero(m.run == np.unique(m.run)[7 + seed])[0]
+    values = m.readings["reading_um"] + 3.2 * (np.arange(len(m)) >= first)
+    model = Model(small_machine(), effects(*static))
+    d = diagnose(model, [replace(m, readings={"reading_um": values})], draws=50)
+    assert d.verdict == "missing_effect"
+    assert d.findings[0].effect.effect == "missed_counts"
+    assert m.time_s[first - 1] <= d.findings[0].theta["t0"] < m.time_s[first]
+    assert d.findings[0].parameters["q"].value == pytest.approx(3.2, abs=0.3)

@@ -350,7 +350,8 @@ class Refits:
         current = self.current
         chosen = [(found, i) for i in self._top(found)]
         seen = {i for _, i in chosen}
-        chosen += [(driftless, i) for i in self._top(driftless) if i not in seen and i in found.best]
+        again = [i for i in self._top(driftless) if i in found.best]
+        chosen += [(driftless, i) for i in again if i not in seen or self._at_another_instant(i, found, driftless)]
         counted = itertools.count()
 
         def refit(which: tuple[Screen, int]) -> Refitted:
@@ -362,7 +363,17 @@ class Refits:
             return Refitted(number, theta, columns, fit, evidence, *self._judged(number, fit.whitener, base, columns))
 
         # A candidate that predicts held-out runs worse is no winner, whatever its evidence.
-        return sorted(each(refit, chosen, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
+        ordered = sorted(each(refit, chosen, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
+        best: dict[int, Refitted] = {}
+        for t in ordered:
+            best.setdefault(t.number, t)
+        return list(best.values())
+
+    def _at_another_instant(self, number: int, one: Screen, other: Screen) -> bool:
+        """Whether two screens find an event at different instants: a refit moves it no further than to the next one."""
+        if not self.at_instant(number):
+            return False
+        return bool(one.variants[one.best[number]].theta != other.variants[other.best[number]].theta)
 
     def weigh(self, now: Whitener, base: Floats) -> Screen:
         """Screen of all candidates beside columns, (m, p), under a noise; of very many readings, on some."""
