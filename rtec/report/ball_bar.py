@@ -171,7 +171,7 @@ def ball_bar_page(d: BallBarDiagnosis, figures: bool = True) -> Page:
     """
     plane = d.circles[0].setup.plane
     sections = [
-        Section("Circle", _notes(d), _rounds(d), _polar(d) if figures else None),
+        Section("Circle", [*d.doubts, *_notes(d)], _rounds(d), _polar(d) if figures else None),
         *([Section("Both senses", [], _pairs(d))] if d.pairs else []),
         Section("Causes, largest first", _explained(d), _shares(d), _linear(d) if figures else None),
         *(_one_by_one(d) if figures else []),
@@ -190,7 +190,7 @@ def ball_bar_page(d: BallBarDiagnosis, figures: bool = True) -> Page:
         numbers=[(f"{number(r.g_um)}\u00a0µm", f"G, {r.name}") for r in d.rounds][:4],
         sections=sections,
         foot=[*FORMULAS, f"rtec {__version__}, rtec ballbar."],
-        brief=Section("", [_height(d, h) for h in d.fitted.heights], _brief(d)),
+        brief=Section("", [*d.doubts, *(_height(d, h) for h in d.fitted.heights)], _brief(d)),
         next=_next(d),
     )
 

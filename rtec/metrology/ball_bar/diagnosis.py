@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 from rtec.metrology.ball_bar.causes import same_feed
 from rtec.metrology.ball_bar.circle import CircleTest, circles_of
 from rtec.metrology.ball_bar.design import SETTING_UP, Centre, NotLookedFor, table_of, with_setup
-from rtec.metrology.ball_bar.fit import NAMED_SE, Beyond, Fitted, FittedValue, fit, weight_of
+from rtec.metrology.ball_bar.doubts import doubts_of
+from rtec.metrology.ball_bar.fit import (
+    NAMED_SE,
+    Beyond,
+    Fitted,
+    FittedValue,
+    chance_of,
+    fit,
+    mean_squares,
+    weight_of,
+)
 from rtec.metrology.ball_bar.iso230_4 import (
     BothWays,
     CircleHarmonic,
@@ -24,6 +34,7 @@ from rtec.metrology.ball_bar.iso230_4 import (
     least_squares_circle,
     roundness,
 )
+from rtec.metrology.ball_bar.noise import NOISE_UM
 from rtec.metrology.ball_bar.phase import (
     LoopLag,
     Phase,
@@ -35,7 +46,7 @@ from rtec.metrology.ball_bar.phase import (
     servo_phase,
     shifts,
 )
-from rtec.metrology.ball_bar.search import NOISE_UM, CausesFound, search
+from rtec.metrology.ball_bar.search import CausesFound, search
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import one_blas_thread
 from rtec.result import Result
@@ -152,7 +163,7 @@ def chosen(
             f"the residual of the linear model has a third harmonic of {third:.2f} µm, which bent guides cause and "
             "noise does not"
         )
-    better = _better(straight, bent)
+    better = chance_of(straight, bent)
     if better < SURE:
         return bent, (
             f"the error is large enough: the residual of the linear model is {significant(straight.sigma_um)} µm "
@@ -186,23 +197,6 @@ def third_harmonic(circles: Sequence[CircleTest], fitted: Fitted, window_deg: fl
     return largest, min(1.0, least * len(circles))
 
 
-def _better(straight: Fitted, bent: Fitted) -> float:
-    """Probability that noise alone makes the non-linear model so much better (F test)."""
-    from scipy.special import fdtrc
-
-    count, ratio = bent.rank.rank - straight.rank.rank, _mean_squares(straight, bent)
-    free = straight.used / bent.correlation - bent.rank.rank
-    if free <= 1.0:
-        return 1.0
-    return float(fdtrc(count, free, max(ratio - 1.0, 0.0) * free / count))
-
-
-def _mean_squares(straight: Fitted, bent: Fitted) -> float:
-    """Ratio of the residual sums of squares: linear model over non-linear one."""
-    rss = [max(f.sigma_um, NOISE_UM) ** 2 * (f.used - f.rank.rank) for f in (straight, bent)]
-    return rss[0] / rss[1]
-
-
 def _averaged(straight: Fitted, bent: Fitted) -> Fitted:
     """The linear model where bends are possible but not significant: weighted mean of both models for each parameter.
 
@@ -210,7 +204,7 @@ def _averaged(straight: Fitted, bent: Fitted) -> Fitted:
     are marked as such.
     """
     count = bent.rank.rank - straight.rank.rank
-    gained = straight.used / bent.correlation * float(np.log(max(_mean_squares(straight, bent), 1.0)))
+    gained = straight.used / bent.correlation * float(np.log(max(mean_squares(straight, bent), 1.0)))
     weight = weight_of(gained, count)
     known = {v.name: v for v in (*bent.values, *bent.combinations)}
     values = tuple(_mean(v, known[v.name], weight) if v.name in known else v for v in straight.values)
@@ -281,6 +275,7 @@ class BallBarDiagnosis(Result):
         phase: whether the servo phase is one angle or one time in all tests, and why.
         changed: parameters that differ between the two, where these tests do not decide.
         lag_s: lag of both axes behind the command; 0 where the readings show none.
+        doubts: about the readings themselves, in words.
     """
 
     page_maker: ClassVar[str] = "rtec.report.ball_bar:ball_bar_page"
@@ -302,6 +297,7 @@ class BallBarDiagnosis(Result):
     phase: PhaseChoice = field(default_factory=lambda: PhaseChoice(()))
     changed: tuple[Shift, ...] = ()
     lag_s: float = 0.0
+    doubts: tuple[str, ...] = ()
 
     @cached_property
     def wanted(self) -> tuple[NextTest, ...]:
@@ -356,6 +352,7 @@ class BallBarDiagnosis(Result):
             "window_deg": self.window_deg,
             "near_quadrants": self.near_quadrants,
             "harmonics": self.spectra,
+            "doubts": list(self.doubts),
         }  # fmt: skip
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
@@ -475,6 +472,7 @@ def _diagnose(
         phase=phase,
         changed=changed,
         lag_s=lag.time_s,
+        doubts=doubts_of(circles, fitted, window_deg, centre),
     )
 
 

@@ -25,7 +25,7 @@ from rtec.metrology.ball_bar.design import (
     stacked_design,
     unseen_of,
 )
-from rtec.metrology.ball_bar.noise import WHITE, AngleNoise
+from rtec.metrology.ball_bar.noise import NOISE_UM, WHITE, AngleNoise
 from rtec.metrology.procedures.fitting import correlation_time
 from rtec.wording import significant
 
@@ -456,6 +456,23 @@ def fit(
         "non-linear" if bent else "linear", values, combinations, heights, near.rank, parts, after, solved.sigma_um,
         len(reading), solved.correlation, beyond,
     )  # fmt: skip
+
+
+def chance_of(simple: Fitted, richer: Fitted) -> float:
+    """Probability that noise alone makes a model with more parameters so much better (F test)."""
+    from scipy.special import fdtrc
+
+    count, ratio = richer.rank.rank - simple.rank.rank, mean_squares(simple, richer)
+    free = simple.used / richer.correlation - richer.rank.rank
+    if free <= 1.0:
+        return 1.0
+    return float(fdtrc(count, free, max(ratio - 1.0, 0.0) * free / count))
+
+
+def mean_squares(simple: Fitted, richer: Fitted) -> float:
+    """Ratio of the residual sums of squares of two models of the same readings."""
+    rss = [max(f.sigma_um, NOISE_UM) ** 2 * (f.used - f.rank.rank) for f in (simple, richer)]
+    return rss[0] / rss[1]
 
 
 def _used(circle: CircleTest, window_deg: float, beyond: Beyond) -> NDArray[np.bool_]:

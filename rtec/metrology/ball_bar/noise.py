@@ -19,6 +19,8 @@ from rtec.jit import njit
 from rtec.metrology.ball_bar.circle import CircleTest
 
 Floats = NDArray[np.float64]
+NOISE_UM = 0.02
+"""Lower bound of the noise; no ball bar reads finer."""
 SHARES = (0.1, 1.0, 10.0)
 WAYS_RAD = (0.05, 0.2, 0.8, 3.0)
 """Starts of the search for d and τ."""

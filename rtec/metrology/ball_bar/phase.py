@@ -23,8 +23,8 @@ from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.ball_bar.design import APART, Centre, design_of, independent_share, stacked_design
 from rtec.metrology.ball_bar.fit import Fitted, FittedValue, fit, solve
-from rtec.metrology.ball_bar.noise import WHITE
-from rtec.metrology.ball_bar.search import NOISE_UM, SURE_SE, clearance_of, residual_of_all
+from rtec.metrology.ball_bar.noise import NOISE_UM, WHITE
+from rtec.metrology.ball_bar.search import SURE_SE, clearance_of, residual_of_all
 from rtec.wording import significant
 
 Floats = NDArray[np.float64]

@@ -22,11 +22,9 @@ from rtec.metrology.ball_bar.causes import Cause
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.ball_bar.design import CandidateTable, Centre, NotLookedFor, stacked_design, table_of
 from rtec.metrology.ball_bar.fit import Beyond, Fitted, Pick, in_a_row, solve
-from rtec.metrology.ball_bar.noise import WHITE, AngleNoise, find_noise
+from rtec.metrology.ball_bar.noise import NOISE_UM, WHITE, AngleNoise, find_noise
 
 Floats = NDArray[np.float64]
-NOISE_UM = 0.02
-"""Lower bound of the noise; no ball bar reads finer."""
 MORE = 1.2
 """The quadrants have a noise of their own if it is at least this many times that of the rest."""
 SWEEPS = 2
