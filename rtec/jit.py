@@ -1,20 +1,17 @@
 """Compiles the kernels where numba is installed; elsewhere the same source runs as plain Python.
 
-Importing this module imports numba, so nothing that `import rtec` reaches may import it at the top.
+numba is imported at the first call of a kernel: it takes longer to import than all else, and many processes import
+kernels that they never call.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar, overload
-
-numba: Any
-try:
-    import numba
-except ImportError:
-    numba = None
+from functools import cached_property, update_wrapper
+from importlib.util import find_spec
+from typing import Any, TypeVar, cast, overload
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-HAVE_NUMBA: bool = numba is not None
+HAVE_NUMBA: bool = find_spec("numba") is not None
 """Whether kernels are compiled."""
 
 
@@ -30,7 +27,7 @@ def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
     """
 
     def compile_one(f: F) -> F:
-        return _compiled(f, options)
+        return cast(F, _Kernel(f, options)) if HAVE_NUMBA else f
 
     return compile_one if function is None else compile_one(function)
 
@@ -41,12 +38,29 @@ def as_written(function: F) -> F:
     return plain
 
 
-def _compiled(function: F, options: dict[str, Any]) -> F:
-    if numba is None:
-        return function
-    settings: dict[str, Any] = {"cache": True, "nogil": True, **options}
-    try:
-        kernel: F = numba.njit(**settings)(function)
-    except RuntimeError:  # no folder for the machine code (a read-only installation): compile each time
-        kernel = numba.njit(**{**settings, "cache": False})(function)
-    return kernel
+class _Kernel:
+    """A function that numba compiles, or loads from disk, at its first call."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self.py_func, self._options = function, options
+        update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._compiled(*arguments)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """The type by which numba knows this function where another kernel calls it."""
+        return self._compiled._numba_type_
+
+    @cached_property
+    def _compiled(self) -> Any:
+        try:
+            import numba
+        except ImportError:  # there, but not for this Python or numpy
+            return self.py_func
+        settings: dict[str, Any] = {"cache": True, "nogil": True, **self._options}
+        try:
+            return numba.njit(**settings)(self.py_func)
+        except RuntimeError:  # no folder for the machine code (a read-only installation): compile each time
+            return numba.njit(**{**settings, "cache": False})(self.py_func)

@@ -22,6 +22,8 @@ settings.load_profile("rtec")
 
 LONGEST_NAME = 300
 """Characters of a parameter in the name of a test."""
+GARBAGE = (20_000, 20, 20)
+"""New objects until the next search for garbage among them; searches until the next among older ones."""
 
 
 @pytest.fixture
@@ -46,12 +48,16 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """The tests, half a million objects in every worker, are no garbage: no search goes through them, now or later."""
+    """The tests, half a million objects in every worker, are no garbage: no search goes through them, now or later.
+
+    Python's own threshold, 700 new objects, makes the search for garbage a twentieth of all work.
+    """
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(*GARBAGE)
         gc.enable()
 
 

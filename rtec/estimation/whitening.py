@@ -347,6 +347,20 @@ def noise_cost(
 
 
 @njit
+def rising(cost: Floats, order: Ints) -> None:
+    """Write the order of a few values, lowest first, NaN last; equal values stay in their order.
+
+    numpy's `argsort` gives the same; numba takes longer to compile it than all of the search.
+    """
+    for i in range(len(cost)):
+        j = i
+        while j > 0 and (cost[i] < cost[order[j - 1]] or (math.isnan(cost[order[j - 1]]) and not math.isnan(cost[i]))):
+            order[j] = order[j - 1]
+            j -= 1
+        order[j] = i
+
+
+@njit
 def walk(  # noqa: PLR0912 - one walk, compiled
     time_s: Floats, run: Ints, unknown: Floats, run_variance: Floats, left: Floats, freedom: float, start: Floats,
     bounds: Floats, evaluations: int,
@@ -360,8 +374,9 @@ def walk(  # noqa: PLR0912 - one walk, compiled
         cost[k] = noise_cost(time_s, run, unknown, run_variance, left, freedom, place[k], bounds)
     used = d + 1
     middle, trial, further = np.empty(d), np.empty(d), np.empty(d)
+    order = np.empty(d + 1, np.int64)
     while used < evaluations:
-        order = np.argsort(cost)
+        rising(cost, order)
         best, worst, second = order[0], order[d], order[d - 1]
         if cost[worst] - cost[best] < 0.02:
             break
@@ -379,13 +394,15 @@ def walk(  # noqa: PLR0912 - one walk, compiled
                 further[j] = 3.0 * middle[j] - 2.0 * place[worst, j]
             beyond = noise_cost(time_s, run, unknown, run_variance, left, freedom, further, bounds)
             used += 1
-            if beyond < value:
-                place[worst], cost[worst] = further, beyond
-            else:
-                place[worst], cost[worst] = trial, value
+            better = beyond < value
+            cost[worst] = beyond if better else value
+            for j in range(d):
+                place[worst, j] = further[j] if better else trial[j]
             continue
         if value < cost[second]:
-            place[worst], cost[worst] = trial, value
+            cost[worst] = value
+            for j in range(d):
+                place[worst, j] = trial[j]
             continue
         for j in range(d):
             inner = trial[j] if value < cost[worst] else place[worst, j]
@@ -393,7 +410,9 @@ def walk(  # noqa: PLR0912 - one walk, compiled
         inside = noise_cost(time_s, run, unknown, run_variance, left, freedom, further, bounds)
         used += 1
         if inside < min(value, cost[worst]):
-            place[worst], cost[worst] = further, inside
+            cost[worst] = inside
+            for j in range(d):
+                place[worst, j] = further[j]
             continue
         for k in range(d + 1):
             if k != best:

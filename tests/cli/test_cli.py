@@ -80,6 +80,18 @@ def test_processes_beside_the_loop_need_no_compiler() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_a_process_that_calls_no_kernel_waits_for_no_compiler() -> None:
+    """The modules of the loop, the simulation and the fit; a kernel that is called brings it. Oracle: the modules."""
+    modules = ["rtec.loop.step", "rtec.sim.machine", "rtec.estimation.gls", "rtec.characterise.run"]
+    code = (
+        f"import sys, importlib; [importlib.import_module(m) for m in {modules}]; print('numba' in sys.modules); "
+        "from rtec.effects.derived import lag_update; lag_update(1.0, 2.0, 2.0, 0.1, 5.0); "
+        "print('numba' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [

@@ -273,7 +273,7 @@ def plain_module(text: str, depends_on: Any) -> ModuleType:
 
 @pytest.fixture
 def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jit, "numba", None)
+    monkeypatch.setattr(jit, "HAVE_NUMBA", False)
     monkeypatch.setattr("tests.support.compiled_model.build_module", plain_module)
 
 

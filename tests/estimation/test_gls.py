@@ -1,11 +1,13 @@
 """Least squares, plain and on held-out runs. Oracle: numpy's least squares, and each step written out."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rtec.estimation.gls import fit_columns, held_out, held_out_gain, solve, without_nuisance
-from rtec.estimation.noise import find_noise, log_likelihood
+from rtec.estimation.noise import Whitener, find_noise, log_likelihood
 from rtec.estimation.readings import read
 from tests.support.diagnosis_examples import laser
 
@@ -14,7 +16,12 @@ READINGS = read([laser(["scale,component=EXX,axis=X,k=12"], 3)])
 X = READINGS.channel("x")
 BASE = np.stack([X, np.sin(X / 9.0)], axis=1)
 MORE = np.stack([X**2, X**3], axis=1)
-NOISE = find_noise(READINGS, BASE)
+
+
+@cache
+def noise() -> Whitener:
+    """Found by the first test that needs it, not by every worker that collects the tests."""
+    return find_noise(READINGS, BASE)
 
 
 def test_solve_is_least_squares_and_gives_nothing_to_what_is_not_seen() -> None:
@@ -37,8 +44,8 @@ def test_solve_is_least_squares_and_gives_nothing_to_what_is_not_seen() -> None:
 
 def test_a_fit_that_goes_on_ends_where_one_without_a_pause_does() -> None:
     columns = np.concatenate([BASE, MORE], axis=1)
-    first = fit_columns(NOISE, columns, 1)
-    on, whole = fit_columns(first.whitener, columns, 2, values=first.values), fit_columns(NOISE, columns, 3)
+    first = fit_columns(noise(), columns, 1)
+    on, whole = fit_columns(first.whitener, columns, 2, values=first.values), fit_columns(noise(), columns, 3)
     assert on.log_likelihood == pytest.approx(whole.log_likelihood, rel=1e-12)
     assert on.values == pytest.approx(whole.values, rel=1e-9)
     assert log_likelihood(on.whitener, on.whitener(on.left)) == pytest.approx(on.log_likelihood, rel=1e-9)
@@ -48,7 +55,7 @@ def test_held_out_runs_are_those_that_the_fit_did_not_see() -> None:
     """Fold by fold: whiten, fit the other folds, predict this one."""
 
     def errors(columns: Floats) -> tuple[Floats, list[float]]:
-        white, target = NOISE(columns), NOISE(READINGS.values)
+        white, target = noise()(columns), noise()(READINGS.values)
         left, lost = np.empty(len(READINGS)), []
         for fold in np.unique(READINGS.fold):
             mine = READINGS.fold == fold
@@ -59,7 +66,7 @@ def test_held_out_runs_are_those_that_the_fit_did_not_see() -> None:
 
     without, lost = errors(BASE)
     with_it, less = errors(np.concatenate([BASE, MORE], axis=1))
-    drop, gain = held_out_gain(NOISE, BASE, MORE)
+    drop, gain = held_out_gain(noise(), BASE, MORE)
     assert drop == pytest.approx(1.0 - np.mean(with_it**2) / np.mean(without**2), rel=1e-6)
     assert gain == pytest.approx(np.mean(np.array(lost) - less), rel=1e-6)
-    assert held_out(NOISE, BASE).square == pytest.approx(np.mean(without**2), rel=1e-6)
+    assert held_out(noise(), BASE).square == pytest.approx(np.mean(without**2), rel=1e-6)
