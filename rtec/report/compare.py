@@ -239,9 +239,9 @@ def _outside(c: Comparison) -> list[Section]:
     ]
     if not rows:
         return []
-    words = ["There the model extrapolates, and the loop holds the correction."]
-    head = ("measurement", "channel", "range of the fit", "readings go to", "readings outside", "unit")
-    return [Section("Outside the fitted range of the model", words, Table(head, rows, "", (0, 1, 5)))]
+    words = ["The valid range is that of the readings of the fit, with a margin. Outside it the loop holds the correction."]
+    head = ("measurement", "channel", "valid range", "readings go to", "readings outside", "unit")
+    return [Section("Outside the valid range of the model", words, Table(head, rows, "", (0, 1, 5)))]
 
 
 def _place(value: float) -> str:

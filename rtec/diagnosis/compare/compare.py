@@ -204,7 +204,7 @@ def _parts(model: Model, traces: Traces, s: Series) -> tuple[EffectShare, ...]:
 
 
 def _outside(model: Model, readings: Readings, s: Series) -> tuple[Outside, ...]:
-    """Where the readings leave the range of the fit; an unrecorded channel is not checked."""
+    """Where the readings leave the valid range; an unrecorded channel is not checked."""
     state, out = readings.states[s.source], []
     for channel, (low, high) in model.valid_range.items():
         if not state.has(channel):
