@@ -11,6 +11,7 @@ from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
 from rtec.effects.cyclic import PITCH_MM, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
+from rtec.effects.thermal import ColumnTilt
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import VisibleComponent, moves, visible_components, within_record
@@ -68,10 +69,11 @@ def library(
     out: list[EffectCandidate] = []
     untried: list[Untried] = []
     kinds = all_effects()
-    for seen in visible(readings):
+    feet = _feet(readings)
+    for seen in (*visible(readings), *feet):
         around = surroundings(readings, seen)
         for name, kind in kinds.items():
-            if only is not None and name not in only:
+            if (only is not None and name not in only) or (seen in feet and kind is not ColumnTilt):
                 continue
             usual = [e for e in instances(kind, around) if not _of_position(e, seen, readings)]
             late = [e for e in map(_late, there) if e is not None and e.component == seen.name and type(e) is kind]
@@ -119,6 +121,25 @@ def visible(readings: Readings) -> list[VisibleComponent]:
                 found.append(VisibleComponent(name, axis, moves=False))
                 shapes.append(shape)
     return found
+
+
+def _feet(readings: Readings) -> list[VisibleComponent]:
+    """Turns of fixed parts that carry a moving axis, such as a column; only where readings in two directions see them.
+
+    One direction cannot distinguish them from turns of an axis; the ratio of two shows where the foot is.
+    """
+    machine = readings.machine
+    moving = {a.name for a in machine.axes if any(moves(m, a) for m in readings.measurements)}
+    out, shapes = [], [_shape(readings, c.name) for c in visible(readings)]
+    for chain in (machine.work_chain, machine.tool_chain):
+        last = max((i for i, n in enumerate(chain) if n in moving), default=0)
+        for name in (f"E{angle}0{n}" for n in chain[:last] if n not in machine.axis_names for angle in "ABC"):
+            shape = _shape(readings, name) if name in machine.components else np.zeros(len(readings))
+            seen = [s for s in readings.series if s.unit == "um" and shape[s.part].any()]
+            if len(seen) > 1 and all(abs(float(shape @ s)) < 1.0 - ONE_ARM for s in shapes):
+                out.append(VisibleComponent(name, None, moves=False))
+                shapes.append(shape)
+    return out
 
 
 def _shape(readings: Readings, component: str) -> Floats:

@@ -239,7 +239,7 @@ def _outside(c: Comparison) -> list[Section]:
     ]
     if not rows:
         return []
-    words = ["The valid range is that of the readings of the fit, with a margin. Outside it the loop holds the correction."]
+    words = ["The valid range is that of the fit, with a margin. Outside it the loop holds the correction."]
     head = ("measurement", "channel", "valid range", "readings go to", "readings outside", "unit")
     return [Section("Outside the valid range of the model", words, Table(head, rows, "", (0, 1, 5)))]
 
