@@ -74,6 +74,9 @@ SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and number of places in the grid."""
 AS_GOOD = 1.1
 """An explanation whose residual is within this factor of another's is equally good."""
+REACHED, HALF = 1.05, 0.5
+"""An edit reaches the noise within this factor; where it does not, an effect that leaves this share above it, in
+squares, is clearly better."""
 FAR_LESS = 0.75
 """Or, with the model's own numbers refitted, below this share of what the edit leaves."""
 THIN = 200
@@ -259,7 +262,7 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     if any(left_by(moved(f.effect, f.theta)) < AS_GOOD * found.residual for f in judged.model.effects):
         return False
     simple = [c.effect for c in library(readings)[0] if _simple(c.effect, judged.model.machine)]
-    if any(AS_GOOD * left_by(moved(e, {})) < found.residual for e in simple):
+    if any(_clearly_less(left_by(moved(e, {})), found.residual, judged.noise_floor) for e in simple):
         return False
     # One that changes with time would follow a drift.
     machine = judged.model.machine
@@ -267,6 +270,12 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     fixed = [e for e in simple if set(e.channels(machine)) <= places]
     own = floor.cleaned(readings, judged.base.columns)
     return not any(left_by(np.hstack([own, moved(e, {})])) < FAR_LESS * found.residual for e in fixed)
+
+
+def _clearly_less(one: float, other: float, noise: float) -> bool:
+    """Whether one residual is clearly less than another: as it is, or above a noise that the other does not reach."""
+    above = max(one**2 - noise**2, 0.0) < HALF * (other**2 - noise**2)
+    return AS_GOOD * one < other or (other > REACHED * noise and above)
 
 
 def _simple(effect: Effect, machine: Machine) -> bool:

@@ -313,6 +313,7 @@ def test_a_moved_origin_is_seen_under_a_drift(seed: int) -> None:
         (87020, "angular", "heavy", "guide_curvature"),
         (87059, "angular", "white", "guide_curvature"),
         (88023, "laser", "heavy", "scale"),
+        (96107, "angular", "heavy", "guide_curvature"),
     ],
 )
 def test_an_effect_that_explains_far_more_than_a_moved_origin_is_named(
