@@ -9,9 +9,10 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings, check_sensor
+from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings
 from rtec.effects.geometry import scaled
 from rtec.effects.state import Channels, Value
+from rtec.effects.thermal import OneSensor
 from rtec.machine import Machine
 
 
@@ -208,7 +209,7 @@ class BacklashLoad(Reversal):
         return channels.value("load_kg") * 0.01
 
 
-class BacklashTemperature(Reversal):
+class BacklashTemperature(OneSensor, Reversal):
     """Play that grows with heat: `e = ½ k d ΔT`."""
 
     about: ClassVar[About] = About(
@@ -225,12 +226,10 @@ class BacklashTemperature(Reversal):
     )
     driven_by: ClassVar[tuple[str, ...]] = ("direction", "temperature")
     effect: Literal["backlash_temperature"] = "backlash_temperature"
-    sensor: str
 
-    def check(self, machine: Machine, where: str) -> None:
-        """Check component, axis and sensor."""
-        super().check(machine, where)
-        check_sensor(machine, self.sensor, where)
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Read the direction and the sensor."""
+        return Reversal.channels(self, machine)
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`k`, per kelvin."""
@@ -243,9 +242,9 @@ class BacklashTemperature(Reversal):
         return (self.sensor,)
 
     def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
-        """Temperature rise."""
-        del machine, theta
-        return channels.rise(self.sensor)
+        """Temperature rise, lagged where `lag` is set."""
+        del machine
+        return self.rise(channels, theta)
 
 
 class AngularReversal(Reversal):

@@ -11,7 +11,7 @@ from numpy.polynomial import legendre
 from scipy import stats
 
 from rtec.effects.state import State
-from tests.support.effect_example import Example, Floats, Theta, example, fixed_theta, rise, scaled
+from tests.support.effect_example import Example, Floats, Theta, example, fixed_theta, lag, rise, scaled
 
 
 def turned(s: State, value: Any) -> list[Any]:
@@ -46,6 +46,11 @@ OF_MOTION: tuple[Example, ...] = (
     example(
         "backlash_temperature", "EXX", {"k": "um_per_degc"}, fixed_theta(lambda s: turned(s, rise(s, "T_bed"))),
         axis="X", sensor="T_bed",
+    ),
+    example(
+        "backlash_temperature", "EZZ", {"k": "um_per_degc"},
+        lambda s, t: [np.where(s.value("d_z") > 0, 0.5, -0.5) * lag(rise(s, "T_bed"), t["tau"])], {"tau": 400.0},
+        axis="Z", sensor="T_bed", lag=True,
     ),
     example("backlash_load", "EXX", {"k": "um_per_100kg"},
             fixed_theta(lambda s: turned(s, s.value("load_kg") / 100.0)), axis="X"),
