@@ -63,6 +63,17 @@ def test_a_model_without_a_temperature_is_offered_none() -> None:
     assert not list(further_temperatures(Judgement(alone, clean([m], model.reference_degc))))
 
 
+@pytest.mark.parametrize("seed", [50, 51, 52])
+def test_no_further_temperature_stands_for_a_missing_scale_error(seed: int) -> None:
+    """The air acts, too; without a scale error in the model its number would follow that."""
+    model, m = made({"T_nut": 4.0, "T_air": 2.0}, seed)
+    found = next(further_temperatures(Judgement(model, clean([m], model.reference_degc))))
+    assert getattr(found.effect, "sensor", "") == "T_air"
+    assert model.effects[0].effect.effect == "scale"
+    without = replace(model, effects=model.effects[1:])
+    assert not list(further_temperatures(Judgement(without, clean([m], model.reference_degc))))
+
+
 def test_who_is_asked_at_each_step_is_asked_for_it_too_and_may_leave_it_out() -> None:
     model, m = made({"T_nut": 4.0, "T_air": 2.0}, 50)
     known, labels = replace(model, effects=model.effects[:2]), ("axis_expansion(EXX, X, T_air)",)

@@ -63,12 +63,15 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
         if effect not in best or squares < best[effect][0]:
             best[effect] = squares, theta, columns
     gains: dict[Effect, float] = {}
+    enough = math.log(LIKELIER * max(len(best), 1))
     for effect, (_, theta, columns) in best.items():
         # A temperature that hardly changed, far from the reference, would act like a shape that follows no temperature.
         sensor = getattr(effect, "sensor", None)
         still = few.at_constant(effect, theta, sensor) if sensor is not None else base[:, :0]
-        gains[effect] = _likelier(noise, np.concatenate([base, still], axis=1), columns)
-    most, enough = max(gains.values(), default=0.0), math.log(LIKELIER * max(len(gains), 1))
+        if _likelier(noise, base, still) < enough:  # else that shape is missing, and would be named first
+            gains[effect] = _likelier(noise, np.concatenate([base, still], axis=1), columns)
+    most = max(gains.values(), default=0.0)
+    most = max(gains.values(), default=0.0)
     for effect in sorted(gains, key=lambda e: ((most - gains[e]) // ALIKE, best[e][0])):
         if gains[effect] >= enough:
             yield new_effect(effect, judged.model, best[effect][1])
