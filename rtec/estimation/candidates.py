@@ -1,7 +1,7 @@
 """Candidates of a search: every effect of the registry, for every component error that the readings see."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.effects.thermal import ColumnTilt
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
-from rtec.estimation.visible import VisibleComponent, moves, visible_components, within_record
+from rtec.estimation.visible import VisibleComponent, axis_of, moves, visible_components, within_record
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 
@@ -69,8 +69,9 @@ def library(
     out: list[EffectCandidate] = []
     untried: list[Untried] = []
     kinds = all_effects()
-    feet = _feet(readings)
-    for seen in (*visible(readings), *feet):
+    shown = visible(readings)
+    feet = _feet(readings, shown)
+    for seen in (*shown, *feet):
         around = surroundings(readings, seen)
         for name, kind in kinds.items():
             if (only is not None and name not in only) or (seen in feet and kind is not ColumnTilt):
@@ -113,32 +114,43 @@ def visible(readings: Readings) -> list[VisibleComponent]:
         return found
     fixed = {c.name[3:] for c in found if c.axis is None}
     carrying = {n for chain in (machine.work_chain, machine.tool_chain) if fixed & set(chain) for n in chain}
-    shapes = [_shape(readings, c.name) for c in found]
-    for axis in (a for a in machine.axes if a.name in carrying):
-        for name in (f"E{angle}{axis.name}" for angle in "ABC"):
-            shape = _shape(readings, name) if name in machine.components else np.zeros(len(readings))
-            if shape.any() and all(abs(float(shape @ s)) < 1.0 - ONE_ARM for s in shapes):
-                found.append(VisibleComponent(name, axis, moves=False))
-                shapes.append(shape)
-    return found
+    tilts = (f"E{angle}{a.name}" for a in machine.axes if a.name in carrying for angle in "ABC")
+    return found + [VisibleComponent(n, axis_of(n, machine), moves=False) for n in _apart(readings, tilts, found)]
 
 
-def _feet(readings: Readings) -> list[VisibleComponent]:
+def _feet(readings: Readings, found: Sequence[VisibleComponent]) -> list[VisibleComponent]:
     """Turns of fixed parts that carry a moving axis, such as a column; only where readings in two directions see them.
 
     One direction cannot distinguish them from turns of an axis; the ratio of two shows where the foot is.
+
+    Args:
+        readings: the readings.
+        found: other components that they see.
     """
     machine = readings.machine
     moving = {a.name for a in machine.axes if any(moves(m, a) for m in readings.measurements)}
-    out, shapes = [], [_shape(readings, c.name) for c in visible(readings)]
+    names: list[str] = []
     for chain in (machine.work_chain, machine.tool_chain):
         last = max((i for i, n in enumerate(chain) if n in moving), default=0)
-        for name in (f"E{angle}0{n}" for n in chain[:last] if n not in machine.axis_names for angle in "ABC"):
-            shape = _shape(readings, name) if name in machine.components else np.zeros(len(readings))
-            seen = [s for s in readings.series if s.unit == "um" and shape[s.part].any()]
-            if len(seen) > 1 and all(abs(float(shape @ s)) < 1.0 - ONE_ARM for s in shapes):
-                out.append(VisibleComponent(name, None, moves=False))
-                shapes.append(shape)
+        names += [f"E{angle}0{n}" for n in chain[:last] if n not in machine.axis_names for angle in "ABC"]
+
+    def in_two_directions(name: str) -> bool:
+        arms = readings.arms(name)
+        seen = [s for s in readings.series if s.unit == "um" and arms[s.part].any()]
+        return len({(readings.measurements[s.source].instrument.axis, s.column) for s in seen}) > 1
+
+    apart = _apart(readings, (n for n in names if n in machine.components and in_two_directions(n)), found)
+    return [VisibleComponent(name, None, moves=False) for name in apart]
+
+
+def _apart(readings: Readings, names: Iterable[str], found: Sequence[VisibleComponent]) -> list[str]:
+    """Components that readings see, and whose lever arms differ from those of others and of each other."""
+    out, shapes = [], [_shape(readings, c.name) for c in found]
+    for name in names:
+        shape = _shape(readings, name) if name in readings.machine.components else np.zeros(len(readings))
+        if shape.any() and all(abs(float(shape @ s)) < 1.0 - ONE_ARM for s in shapes):
+            out.append(name)
+            shapes.append(shape)
     return out
 
 
