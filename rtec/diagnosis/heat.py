@@ -220,7 +220,7 @@ def heat_by_time(readings: Readings) -> Doubt | None:
 
 
 def _to_record(readings: Readings, s: Series) -> str:
-    """The temperatures that show the heat of a series, beside those that are recorded."""
+    """Sentence on the temperatures to record for the heat of a series, in addition to the recorded ones."""
     state = readings.states[s.source]
     moves = [a.name for a in readings.machine.axes if float(np.ptp(state.value(a.channel)[s.row])) > 0.0]
     there = [n for n in readings.machine.sensor_names if n in state.channels]

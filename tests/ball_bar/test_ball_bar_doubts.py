@@ -47,6 +47,6 @@ def test_readings_far_off_those_beside_are_doubted(degrees: tuple[float, ...], o
     by[[int(v) for v in degrees]] = off_um
     d = diagnose([changed(first, by), *others])
     (doubt,) = d.doubts
-    assert doubt.startswith(f"test1: {len(degrees)} reading")
-    size = float(doubt.split("at most by ")[1].split(" µm")[0])
+    assert doubt.startswith(f"test1 has {len(degrees)} reading")
+    size = float(doubt.split("the farthest by ")[1].split(" µm")[0])
     assert size == pytest.approx(abs(off_um), abs=0.4)

@@ -46,7 +46,7 @@ MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
 LOOSER = 3.0
-"""A further temperature may make the standard error of another number, if near zero, larger by this factor."""
+"""By this factor a further temperature may enlarge the standard error of a number that is then near zero."""
 TRIED = 6
 """This many further temperatures are added on trial."""
 VISIBLE = 0.35
@@ -412,7 +412,7 @@ class _Growth:
 
 
 def _same_body(one: FittedEffect, other: FittedEffect) -> bool:
-    """Whether two effects are one by different temperatures."""
+    """Whether two effects are the same one, perhaps by different temperatures."""
     return (one.effect.effect, one.effect.component) == (other.effect.effect, other.effect.component)
 
 

@@ -71,7 +71,6 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
         if _likelier(noise, base, still) < enough:  # else that shape is missing, and would be named first
             gains[effect] = _likelier(noise, np.concatenate([base, still], axis=1), columns)
     most = max(gains.values(), default=0.0)
-    most = max(gains.values(), default=0.0)
     for effect in sorted(gains, key=lambda e: ((most - gains[e]) // ALIKE, best[e][0])):
         if gains[effect] >= enough:
             yield new_effect(effect, judged.model, best[effect][1])

@@ -370,7 +370,7 @@ class Refits:
         return list(best.values())
 
     def _at_another_instant(self, number: int, one: Screen, other: Screen) -> bool:
-        """Whether two screens find an event at different instants: a refit moves it no further than to the next one."""
+        """Whether two screens find an event at different instants; a refit does not get from one to the other."""
         if not self.at_instant(number):
             return False
         return bool(one.variants[one.best[number]].theta != other.variants[other.best[number]].theta)

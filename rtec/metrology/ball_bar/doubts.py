@@ -45,7 +45,7 @@ def _ball_moved(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float
     one, two = two_numbers(before, after)
     return (
         f"The tests do not have one centre: with a centre for each the residual falls from {one} to {two} µm. If the "
-        "ball on the table was set again between them, give --centre each; else it moved.",
+        "ball on the table was set again between them, give --centre each. If it was not, it moved: measure again.",
     )
 
 
@@ -78,7 +78,7 @@ def _wrong(circle: CircleTest, left: Floats, window_deg: float) -> tuple[str, ..
         return ()
     worst = wrong[np.argmax(np.abs(off[wrong]))]
     return (
-        f"{circle.name}: {counted(len(wrong), 'reading')} far off the readings beside, at most by "
-        f"{significant(abs(off[worst]), 2)} µm at {np.degrees(circle.angle_rad[worst]) % 360.0:.0f}°. G contains such "
-        "readings: remove these rows, or measure again.",
+        f"{circle.name} has {counted(len(wrong), 'reading')} far from the neighbouring ones, the farthest by "
+        f"{significant(abs(off[worst]), 2)} µm at {np.degrees(circle.angle_rad[worst]) % 360.0:.0f}°. G and the fit "
+        "include such readings: remove these rows, or measure again.",
     )
