@@ -19,6 +19,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from rtec.wording import significant
 
 
 def screw(sensor: str, lag: bool = False) -> AxisExpansion:
@@ -111,6 +112,16 @@ def test_improve_takes_it_as_a_step_of_its_own_and_says_what_it_is() -> None:
     told = [s for s in done.steps if FURTHER in s.notes]
     assert [s.labels for s in told] == [("axis_expansion(EXX, X, T_air)",)]
     assert done.steps[-1].after.held_out == pytest.approx(0.4, rel=0.06)
+
+
+def test_of_two_delays_the_name_gives_the_fitted_one() -> None:
+    """The search for the delay starts at 300 s. Oracle: the parameter of the fitted effect."""
+    model, m = made({"T_nut": 4.0}, 50)
+    late = [FittedEffect(screw("T_nut", lag=True), {"k": 1.0}, {"tau": tau}) for tau in (4800.0, 300.0)]
+    added = add(replace(model, effects=(*model.effects[:2], late[0])), [late[1]], [m])
+    fitted = added.model.effects[-1].theta["tau"]
+    assert fitted != pytest.approx(300.0, rel=0.05)
+    assert added.labels == (f"axis_expansion(EXX, X, T_nut), tau {significant(fitted)}",)
 
 
 @pytest.mark.parametrize("seed", [50, 51])

@@ -278,7 +278,7 @@ def _add(
         if settles or (lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))):
             after, made = kept, other
     progress("held-out runs", 3, 3)
-    named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
+    named, known = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in known)
     better = made.better and not cancelling and not wrong
     return replace(
@@ -412,7 +412,7 @@ def _judged(
     held, sharp = min(map(was.with_own, counts)), min(was.beyond_drift(now.flexible, c) for c in counts)
     before = Errors(was.residual, was.residual, held, sharp)
     after_it = Errors(None, now.residual, now.with_own(own), now.beyond_drift(now.flexible, own))
-    noise, added = now.noise_floor, tuple(labels([*model.effects, *new])[len(model.effects) :])
+    noise, added = now.noise_floor, tuple(labels(effects)[len(model.effects) :])
     entry = entry_of(
         added, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model
     )
