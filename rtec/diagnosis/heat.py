@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts import Doubt
-from rtec.diagnosis.result import label_of
 from rtec.effects import Effect
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
@@ -125,7 +124,7 @@ def only_between_files(readings: Readings, effect: Effect) -> Doubt:
     apart = max((max(v) - min(v) for v in middles.values() if v), default=0.0)
     names = " and ".join(m.name for m in readings.measurements[:3])
     message = (
-        f"{label_of(effect)} explains only what differs between {names}: within each of them the readings do not "
+        f"{effect.label} explains only what differs between {names}: within each of them the readings do not "
         f"follow {' and '.join(read) or 'it'}. The machine or the set-up may have changed between them."
     )
     step = "Measure while that changes, or once more as it was at first."
@@ -149,7 +148,7 @@ def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> 
         if not values or any(float(np.ptp(v)) > 0.0 for v in values) or sensor == mine:
             continue
         message = (
-            f"{sensor}, which {label_of(other)} of the model reads, stood at {values[0][0]:.4g} °C in every row, while "
+            f"{sensor}, which {other.label} of the model reads, stood at {values[0][0]:.4g} °C in every row, while "
             f"the readings follow {mine}: is the sensor connected?"
         )
         return Doubt("dead_sensor", message, "Check it, and measure again.", fatal=True)

@@ -53,12 +53,6 @@ class Alike:
     apart: bool = False
 
 
-def label_of(effect: Effect) -> str:
-    """Short name for tables: effect, component, and what it depends on."""
-    extra = [str(getattr(effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(effect, k, None)]
-    return f"{effect.effect}({', '.join([effect.component, *extra])})"
-
-
 @dataclass(frozen=True)
 class Finding:
     """One candidate, with its evidence.
@@ -99,7 +93,7 @@ class Finding:
     @property
     def label(self) -> str:
         """Short name for tables: effect, component, and what it depends on."""
-        return label_of(self.effect)
+        return self.effect.label
 
 
 @dataclass(frozen=True)
@@ -204,7 +198,7 @@ class Member:
     @property
     def label(self) -> str:
         """Short name."""
-        return label_of(self.fitted.effect)
+        return self.fitted.effect.label
 
     def facts(self) -> dict[str, Any]:
         """As plain data."""

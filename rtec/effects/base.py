@@ -260,6 +260,12 @@ class Effect(Strict, ABC):
         return next((w for w in (DRIVES[d](around) for d in cls.driven_by) if w), "")
 
     @property
+    def label(self) -> str:
+        """Short name for tables: effect, component, and what it depends on."""
+        extra = [str(getattr(self, k)) for k in ("axis", "sensor", "front", "back") if getattr(self, k, None)]
+        return f"{self.effect}({', '.join([self.component, *extra])})"
+
+    @property
     def unit(self) -> Literal["um", "urad"]:
         """Unit of the component error."""
         return "urad" if component_unit(self.component) == "urad" else "um"

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings
+from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings, check_sensor
 from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
 from rtec.machine import Machine
@@ -35,16 +35,65 @@ def widest_phase_gap(places_mm: NDArray[np.float64], pitch_mm: float | None) -> 
     return float(np.max(np.diff(np.append(phases, phases[0] + 1.0))))
 
 
-class _Wave(AxisEffect):
-    """A sine and a cosine over position."""
+GROWTHS = {"load_kg": (0.01, "100kg"), "spindle_rpm": (0.001, "krpm")}
+"""Channels besides the temperatures with which a wave may grow: factor, and its unit in a parameter's unit."""
+
+
+class Cyclic(AxisEffect):
+    """A periodic error along an axis; its size is constant, or proportional to a channel that `grows_with` names.
+
+    An error of which one part is constant and another grows is the same effect twice, without `grows_with` and with it.
+    """
 
     feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
     driven_by: ClassVar[tuple[str, ...]] = ("position",)
+    grows_with: str | None = None
+
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """The position, and what the size grows with."""
+        return (*super().channels(machine), *([self.grows_with] if self.grows_with is not None else []))
+
+    def check(self, machine: Machine, where: str) -> None:
+        """Check component, axis, and the channel that the size grows with."""
+        super().check(machine, where)
+        if self.grows_with is not None and self.grows_with not in GROWTHS:
+            check_sensor(machine, self.grows_with, f"{where}: grows_with (a temperature, {' or '.join(GROWTHS)})")
+
+    @property
+    def steady(self) -> Self:
+        """The same wave of constant size."""
+        return self.model_copy(update={"grows_with": None})
+
+    def grown(self, waves: Sequence[Value], channels: Channels) -> Sequence[Value]:
+        """Waves of size one at the size of this state."""
+        if self.grows_with is None:
+            return waves
+        if self.grows_with in GROWTHS:
+            size = channels.value(self.grows_with) * GROWTHS[self.grows_with][0]
+        else:
+            size = channels.rise(self.grows_with)
+        return [wave * size for wave in waves]
+
+    @property
+    def label(self) -> str:
+        """Short name, with what the size grows with."""
+        return super().label if self.grows_with is None else f"{super().label[:-1]}, grows with {self.grows_with})"
+
+    @property
+    def wave_unit(self) -> str:
+        """Unit of the amplitudes."""
+        if self.grows_with is None:
+            return self.unit
+        return f"{self.unit}_per_{GROWTHS[self.grows_with][1] if self.grows_with in GROWTHS else 'degc'}"
+
+
+class _Wave(Cyclic):
+    """A sine and a cosine over position."""
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`s`, `c`."""
         del machine
-        return tuple(Parameter(k, self.unit, typical=1.0) for k in "sc")
+        return tuple(Parameter(k, self.wave_unit, typical=1.0) for k in "sc")
 
     def angle(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
         """Phase of the wave, rad."""
@@ -53,10 +102,10 @@ class _Wave(AxisEffect):
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """Sine and cosine."""
         angle = self.angle(machine, channels, theta)
-        return [np.sin(angle), np.cos(angle)]
+        return self.grown([np.sin(angle), np.cos(angle)], channels)
 
 
-class CyclicScrew(AxisEffect):
+class CyclicScrew(Cyclic):
     """Cyclic error at the screw's pitch and its harmonics: `e = Σ s_k sin(2πk q/p) + c_k cos(2πk q/p)`."""
 
     about: ClassVar[About] = About(
@@ -80,7 +129,6 @@ class CyclicScrew(AxisEffect):
         ),
         reveal="laser in steps that are no multiple of the pitch, or fine over two pitches",
     )
-    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
     driven_by: ClassVar[tuple[str, ...]] = ("position", "pitch")
     effect: Literal["cyclic_screw"] = "cyclic_screw"
     harmonics: Annotated[int, Field(ge=1, le=16)] = 1
@@ -103,7 +151,9 @@ class CyclicScrew(AxisEffect):
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`s1 c1 s2 c2` …."""
         del machine
-        return tuple(Parameter(f"{k}{i}", self.unit, typical=2.0) for i in range(1, self.harmonics + 1) for k in "sc")
+        return tuple(
+            Parameter(f"{k}{i}", self.wave_unit, typical=2.0) for i in range(1, self.harmonics + 1) for k in "sc"
+        )
 
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
         """`pitch`, from the machine, within 2 %."""
@@ -118,7 +168,7 @@ class CyclicScrew(AxisEffect):
         for _ in range(1, self.harmonics):
             s, c = s * c1 + c * s1, c * c1 - s * s1
             out += [s, c]
-        return out
+        return self.grown(out, channels)
 
 
 class CouplingMisalignment(_Wave):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
-from rtec.effects.cyclic import PITCH_MM, CyclicPole
+from rtec.effects.cyclic import GROWTHS, PITCH_MM, Cyclic, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.effects.thermal import ColumnTilt
 from rtec.errors import ModelError
@@ -17,6 +17,7 @@ from rtec.estimation.readings import Readings
 from rtec.estimation.visible import VisibleComponent, axis_of, moves, visible_components, within_record
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
+from rtec.model import FittedEffect
 
 Floats = NDArray[np.float64]
 
@@ -57,14 +58,15 @@ class Untried:
 
 
 def library(
-    readings: Readings, only: Sequence[str] | None = None, there: Sequence[Effect] = ()
+    readings: Readings, only: Sequence[str] | None = None, there: Sequence[FittedEffect] = ()
 ) -> tuple[list[EffectCandidate], list[Untried]]:
     """All candidates, and the effects that cannot be one.
 
     Args:
         readings: all readings.
         only: names of effects; None for all.
-        there: effects of the model; an immediate effect of a temperature there may be delayed as well.
+        there: effects of the model. An immediate effect of a temperature may be delayed as well; a wave of constant
+            size may also grow with a channel.
     """
     out: list[EffectCandidate] = []
     untried: list[Untried] = []
@@ -77,8 +79,10 @@ def library(
             if (only is not None and name not in only) or (seen in feet and kind is not ColumnTilt):
                 continue
             usual = [e for e in instances(kind, around) if not _of_position(e, seen, readings)]
-            late = [e for e in map(_late, there) if e is not None and e.component == seen.name and type(e) is kind]
-            found = [_candidate(e, readings) for e in [*usual, *(e for e in late if e not in usual)]]
+            known = [f for f in there if type(f.effect) is kind and f.effect.component == seen.name]
+            late = [e for e in map(_late, (f.effect for f in known)) if e is not None and e not in usual]
+            found = [_candidate(e, readings) for e in [*usual, *late]]
+            found += [EffectCandidate(e, (f.theta,)) for f in known for e in _grown(f.effect, around)]
             out += [c for c in found if c is not None]
             why = lacking(kind, around)
             if not any(found) and why:
@@ -225,6 +229,14 @@ def _span(states: Sequence[State], name: str) -> tuple[float, float] | None:
 def _late(effect: Effect) -> Effect | None:
     """The same effect, delayed behind its temperature; None where it has no delay, or is delayed already."""
     return effect.model_copy(update={"lag": True}) if getattr(effect, "lag", None) is False else None
+
+
+def _grown(effect: Effect, around: Surroundings) -> list[Effect]:
+    """The same wave, its size proportional to a channel that varies; empty for anything but a wave of constant size."""
+    if not isinstance(effect, Cyclic) or effect.grows_with is not None:
+        return []
+    channels = [*around.sensors, *(c for c in GROWTHS if c in around.channels)]
+    return [effect.model_copy(update={"grows_with": c}) for c in channels]
 
 
 def _candidate(effect: Effect, readings: Readings) -> EffectCandidate | None:

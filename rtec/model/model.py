@@ -94,10 +94,7 @@ class FittedEffect:
     @property
     def label(self) -> str:
         """Short name for tables: effect, component and arguments."""
-        extra = [
-            str(getattr(self.effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(self.effect, k, None)
-        ]
-        return f"{self.effect.effect}({', '.join([self.effect.component, *extra])})"
+        return self.effect.label
 
 
 @dataclass(frozen=True)

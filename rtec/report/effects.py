@@ -29,6 +29,8 @@ ARGUMENTS: dict[str, str] = {
     "degree": "highest power of the position",
     "knots_mm": "places between which it is straight, mm",
     "harmonics": "number of harmonics",
+    "grows_with": "the channel that its size is proportional to: a temperature (above the model's reference), "
+    "`load_kg` or `spindle_rpm`; without it the size is constant",
     "lambda_mm": "signal period of the scale, mm, from its data sheet",
     "expression": "arithmetic on channels and parameters",
     "terms": "terms of the equation that it has; the others are zero",

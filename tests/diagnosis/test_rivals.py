@@ -16,7 +16,7 @@ from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import Trial, build
 from rtec.diagnosis import words
 from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
-from rtec.diagnosis.result import Diagnosis, Member, label_of
+from rtec.diagnosis.result import Diagnosis, Member
 from rtec.diagnosis.search.answer import _Answer
 from rtec.diagnosis.search.confounded import alike, bent_part
 from rtec.diagnosis.search.diagnose import diagnose, leaner_first
@@ -196,7 +196,7 @@ def test_each_of_several_effects_is_told_with_its_rivals() -> None:
         _effect("axis_expansion_nonuniform", component="EXX", axis="X", sensor="T_nut"),
     )
     first = Member(FittedEffect(_effect("angular_motion", component="EBX", axis="X"), {}), 0.4)
-    second = Member(FittedEffect(bow, {}), 0.5, (label_of(warm),))
+    second = Member(FittedEffect(bow, {}), 0.5, (warm.label,))
     trial = _short_line(5)
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
     told: Diagnosis = words.with_sentence(replace(d, together=(first, second)), 0.1)

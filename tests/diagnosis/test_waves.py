@@ -1,13 +1,18 @@
 """A wave along an axis whose period nobody gave. Oracle: the period and the height that were put into the readings."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.diagnosis.extend.add import add, new_effect
+from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.candidates import library
+from rtec.estimation.outliers import clean
 from rtec.machine import Machine, machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -111,3 +116,54 @@ def test_no_screw_has_the_pitch_of_a_pinion() -> None:
     d = found_in(4.0 * np.sin(2.0 * math.pi * x / 150.0), x, 8)
     assert d.verdict == "missing_effect"
     assert d.findings[0].effect.effect == "cyclic_pole"
+
+
+@pytest.mark.parametrize(("channel", "per_degc"), [("T_bed", 1.3), ("T_air", -0.9)])
+def test_a_wave_that_grows_with_a_temperature_is_named_after_the_wave(channel: str, per_degc: float) -> None:
+    """A wave has a constant part and one that grows; the second is a candidate as soon as the model has the first."""
+    m, constant = growing(channel, per_degc, 3)
+    model = Model(long_machine(), tuple(effect_from_text(t, long_machine()) for t in KNOWN), name="known")
+    done = improve(model, [m], draws=50)
+    assert [s.labels for s in done.steps] == [
+        ("cyclic_pole(EXX, X)",),
+        (f"cyclic_pole(EXX, X, grows with {channel})",),
+    ]
+    assert done.reason == "nothing_missing"
+    steady, grown = done.model.effects[-2:]
+    for fitted, height in ((steady, constant), (grown, per_degc)):
+        error = math.hypot(*(fitted.errors[k] for k in "sc"))
+        assert math.hypot(*(fitted.values[k] for k in "sc")) == pytest.approx(abs(height), abs=4.0 * error)
+    assert done.steps[-1].after.held_out < 1.05 * NOISE_UM
+
+
+def test_a_wave_of_constant_size_grows_with_nothing() -> None:
+    """Oracle: nothing but noise is hidden beside the wave; every temperature is tried and none is named."""
+    m, _ = growing("T_bed", 0.0, 4)
+    wave = f"cyclic_pole,component=EXX,axis=X,s=4,c=0,period={GEAR_MM}"
+    model = Model(long_machine(), tuple(effect_from_text(t, long_machine()) for t in (*KNOWN, wave)), name="known")
+    d = diagnose(model, [m], draws=50)
+    assert d.verdict == "nothing_missing"
+    tried = [c.effect for c in library(clean([m]).readings, ["cyclic_pole"], model.effects)[0]]
+    assert {getattr(e, "grows_with", None) for e in tried} == {None, "T_bed", "T_air"}
+
+
+def test_a_wave_that_grows_is_added_with_the_period_of_the_wave() -> None:
+    m, _ = growing("T_bed", 1.3, 5)
+    wave = f"cyclic_pole,component=EXX,axis=X,s=4,c=0,period={GEAR_MM}"
+    model = Model(long_machine(), tuple(effect_from_text(t, long_machine()) for t in (*KNOWN, wave)), name="known")
+    grown = model.effects[-1].effect.model_copy(update={"grows_with": "T_bed"})
+    done = add(model, [new_effect(grown, model)], [m])
+    assert done.better
+    assert math.hypot(*(done.model.effects[-1].values[k] for k in "sc")) == pytest.approx(1.3, abs=0.1)
+
+
+GEAR_MM = 57.3
+
+
+def growing(channel: str, per_degc: float, seed: int) -> tuple[Measurement, float]:
+    """A wave of 4 µm that changes by so many µm for each kelvin from 20 °C, and its height at 20 °C."""
+    x = targets_mm(53, seed)
+    m = read_there_and_back(np.zeros_like(x), x, seed)
+    height = 4.0 + per_degc * (m.channels[channel] - 20.0)
+    wave = height * np.sin(2.0 * math.pi * m.channels["x"] / GEAR_MM)
+    return replace(m, readings={"reading_um": m.readings["reading_um"] + wave}), 4.0

@@ -23,7 +23,7 @@ from tests.support.effect_example import MACHINE, Example, states
 from tests.support.effect_examples import EXAMPLES, everything
 
 Floats = NDArray[np.float64]
-UNIT = re.compile(r"(um|urad)(_per_(m|mm|degc|m_degc|krpm_to_p|krpm2|h|100kg|kn)|_s_per_mm|_s2_per_m)?")
+UNIT = re.compile(r"(um|urad)(_per_(m|mm|degc|m_degc|krpm_to_p|krpm2|krpm|h|100kg|kn)|_s_per_mm|_s2_per_m)?")
 each = pytest.mark.parametrize("example", EXAMPLES, ids=str)
 
 

@@ -81,6 +81,19 @@ OF_PLACE_AND_HEAT: tuple[Example, ...] = (
         fixed_theta(lambda s: turns(s, {"period": 0.04}, "z")), axis="Z", lambda_mm=0.04,
     ),
     example("cyclic_pole", "EXX", {"s": "um", "c": "um"}, turns, {"period": 16.3}, axis="X"),
+    example(
+        "cyclic_pole", "EXX", {"s": "um_per_degc", "c": "um_per_degc"},
+        lambda s, t: [w * rise(s, "T_bed") for w in turns(s, t)], {"period": 16.3}, axis="X", grows_with="T_bed",
+    ),
+    example(
+        "cyclic_screw", "EXX", {f"{k}{i}": "um_per_100kg" for i in (1, 2, 3) for k in "sc"},
+        lambda s, t: [w * s.value("load_kg") / 100 for w in waves(s, t)], {"pitch": 5.01},
+        axis="X", harmonics=3, grows_with="load_kg",
+    ),
+    example(
+        "coupling_misalignment", "EXX", {"s": "um_per_krpm", "c": "um_per_krpm"},
+        lambda s, t: [w * krpm(s) for w in turns(s, t)], {"period": 2.51}, axis="X", grows_with="spindle_rpm",
+    ),
     example("straightness", "EYX", {"c2": "um", "c3": "um"}, fixed_theta(bow), axis="X"),
     example("angular_motion", "ECX", {"c2": "urad", "c3": "urad"}, fixed_theta(bow), axis="X"),
     example("guide_curvature", "EBX", {"k": "urad_per_m"}, fixed_theta(lambda s: [s.value("x") / 1000]), axis="X"),

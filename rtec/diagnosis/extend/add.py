@@ -22,6 +22,7 @@ from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
 from rtec.effects import Effect, all_effects, effect_class
+from rtec.effects.cyclic import Cyclic
 from rtec.effects.registry import check_effect
 from rtec.errors import ModelError
 from rtec.estimation import floor
@@ -196,12 +197,15 @@ def new_effect(
 ) -> FittedEffect:
     """A new effect: non-linear parameters at their start or as given, coefficients zero or as given.
 
+    A wave that grows starts with the period of the same wave of constant size where the model has one.
+
     Raises:
         ModelError: it does not fit the machine, or has no number of this name.
     """
     check_effect(effect, model.machine, "add")
     linear, free = names_of(effect, model.machine)
-    given = {**(theta or {}), **(values or {})}
+    same = (f.theta for f in model.effects if isinstance(effect, Cyclic) and f.effect == effect.steady)
+    given = {**next(same, {}), **(theta or {}), **(values or {})}
     wrong = [n for n in given if n not in (*linear, *free)]
     if wrong:
         raise ModelError(f"add: {effect.effect} has no number {wrong[0]!r}; it has: {', '.join((*linear, *free))}")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.result import Finding, label_of
+from rtec.diagnosis.result import Finding
 from rtec.effects import Effect
 from rtec.estimation import floor
 from rtec.estimation.gls import solve
@@ -62,7 +62,7 @@ def has_instant(finding: Finding) -> bool:
 def note_of(effect: Effect) -> str:
     """Warning for a user who adds an effect of the time, in words."""
     return (
-        f"{label_of(effect)} belongs to this record: it reads its time, which starts at zero in the next one. On "
+        f"{effect.label} belongs to this record: it reads its time, which starts at zero in the next one. On "
         "another day the model is wrong by as much, and no loop runs with it"
     )
 

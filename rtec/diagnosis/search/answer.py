@@ -12,7 +12,7 @@ from rtec.diagnosis import words
 from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
 from rtec.diagnosis.heat import heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown, label_of
+from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
 from rtec.diagnosis.search import picture
 from rtec.diagnosis.search.confounded import (
     APART,
@@ -261,6 +261,8 @@ class _Answer:
         listed = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
         listed += [a for a, n in sorted(out.values(), key=lambda a: -evidence.get(a[1], -math.inf)) if a.apart]
         part = winner.columns @ winner.fit.values[self._first(winner) :][: winner.columns.shape[1]]
+        if getattr(mine, "grows_with", None) is not None:
+            return listed  # the model has the wave itself: its period is not in question
         asked = (
             fold(self.readings, self.s.prepared.base, mine, winner.theta, part),
             curve_or_wave(self.readings, self.s.prepared.base, mine, part),
@@ -287,7 +289,7 @@ class _Answer:
         """The screw of another pitch that may cause the winner's wave, where the machine file's pitch does not."""
         effect = self.s.candidates[winner.number].effect
         axis = getattr(effect, "axis", None)
-        if any(
+        if getattr(effect, "grows_with", None) is not None or any(
             f.effect.effect == "cyclic_screw" and getattr(f.effect, "axis", None) == axis for f in self.s.model.effects
         ):
             return None  # the model has the wave once a turn: the pitch is right
@@ -413,7 +415,7 @@ class _Answer:
         else:
             verdict = "nothing_missing"
         beside = self.s.beside or found
-        significant_too = [label_of(self.s.candidates[i].effect) for i in significant(beside, self.s.prior_odds)]
+        significant_too = [self.s.candidates[i].effect.label for i in significant(beside, self.s.prior_odds)]
         absent, unseen = absent_effects((found, beside), findings if accepted else (), self.s.prior_odds)
         smallest = float(np.median([a.smallest for a in absent])) if absent else math.nan
         shown = self._shown(findings, unknown)
@@ -459,7 +461,7 @@ class _Answer:
         effect, machine = self.s.candidates[t.number].effect, self.s.model.machine
         linear = [p.name for p in effect.coefficients(machine)]
         values = dict(zip(linear, map(float, t.fit.values[self._first(t) :][: len(linear)]), strict=True))
-        rivals = tuple(dict.fromkeys(label_of(self.s.candidates[i].effect) for i in t.rivals))
+        rivals = tuple(dict.fromkeys(self.s.candidates[i].effect.label for i in t.rivals))
         return Member(FittedEffect(effect, values, dict(t.theta)), t.drop, rivals)
 
     @cached_property

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
-from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown, label_of
+from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.not_found import ALPHA, SURE
@@ -184,7 +184,7 @@ class _Search:
         self.doubts = doubts(self.judged)
         self.readings = self.prepared.readings
         known = [f.effect for f in model.effects]
-        candidates, self.untried = library(self.readings, only, known)
+        candidates, self.untried = library(self.readings, only, model.effects)
         # A wave may be there twice: with its harmonic.
         self.candidates = [
             c for c in (_beside(c, model) if c.effect in known else c for c in candidates) if c is not None
@@ -387,7 +387,7 @@ class _Search:
 
     def _doubt_warm_up(self, t: Refitted, fatal: bool = False) -> None:
         """Doubt that an instrument explains a candidate; once."""
-        doubt = replace(own_warm_up(label_of(self.candidates[t.number].effect)), fatal=fatal)
+        doubt = replace(own_warm_up(self.candidates[t.number].effect.label), fatal=fatal)
         self.doubts = (*(d for d in self.doubts if d.kind != doubt.kind), doubt)
 
     def _apart_from_warm_up(self, refitted: list[Refitted]) -> list[Refitted]:
