@@ -26,7 +26,9 @@ GRID = 6
 INSTANTS = 160
 PAUSE, PAUSES = 3.0, 80
 """A pause is this many times the usual time between readings; number of the longest pauses in the grid."""
-MOST_PERIODS = 480
+MOST_PERIODS, FINE = 6000, 2.5
+"""Periods in the grid, at most, and how many for each turn more along the travel: neighbours differ by 0.4 turns over
+the whole of it. Of an axis so long that these do not reach the shortest period, the shortest ones are not tried."""
 ONE_ARM = 1e-3
 """Lever arms within this relative difference are equal."""
 MOST = 48
@@ -299,8 +301,8 @@ def _periods(low_mm: float, high_mm: float, span_mm: float) -> tuple[float, ...]
     high_mm = min(high_mm, 0.5 * span_mm)
     if span_mm <= 0.0 or high_mm <= low_mm:
         return (0.5 * (low_mm + high_mm),)
-    count = min(int(2.5 * span_mm * (1.0 / low_mm - 1.0 / high_mm)) + 2, MOST_PERIODS)
-    return tuple((1.0 / np.linspace(1.0 / high_mm, 1.0 / low_mm, count)).tolist())
+    most = min(FINE * span_mm * (1.0 / low_mm - 1.0 / high_mm), MOST_PERIODS - 2.0)
+    return tuple((1.0 / np.linspace(1.0 / high_mm, 1.0 / high_mm + most / (FINE * span_mm), int(most) + 2)).tolist())
 
 
 def _instants(readings: Readings) -> tuple[float, ...]:

@@ -167,3 +167,22 @@ def growing(channel: str, per_degc: float, seed: int) -> tuple[Measurement, floa
     height = 4.0 + per_degc * (m.channels[channel] - 20.0)
     wave = height * np.sin(2.0 * math.pi * m.channels["x"] / GEAR_MM)
     return replace(m, readings={"reading_um": m.readings["reading_um"] + wave}), 4.0
+
+
+@pytest.mark.parametrize("period_mm", [11.3, 31.416, 62.83])
+def test_a_wave_along_a_long_axis_is_named_with_its_period(period_mm: float) -> None:
+    """Six metres are hundreds of turns: neighbours in the grid of periods must not be a turn apart at the ends."""
+    axes = {**TABLE["axis"], "X": axis("X", travel_mm=[0.0, 6000.0])}
+    machine = machine_from({**TABLE, "axis": axes}, "rack")
+    rng = np.random.default_rng(int(period_mm))
+    places = np.sort(rng.uniform(100.0, 5900.0, 100))
+    x = np.tile(np.concatenate([places, places[::-1]]), 5)
+    reading = 4.0 * np.sin(2.0 * math.pi * x / period_mm) + NOISE_UM * rng.standard_normal(len(x))
+    channels = {"x": x, "d_x": np.tile(np.repeat([1.0, -1.0], len(places)), 5)}
+    made = make_instrument("laser_linear", {}, "X", None, machine, "test")
+    run, time_s = np.repeat(np.arange(5), 2 * len(places)), np.arange(len(x)) * 4.0
+    m = Measurement("laser", made, machine, run, time_s, channels, {"reading_um": reading})
+    d = diagnose(Model(machine, tuple(effect_from_text(t, machine) for t in KNOWN), name="known"), [m], draws=50)
+    assert d.verdict == "missing_effect"
+    assert d.findings[0].effect.effect == "cyclic_pole"
+    assert d.findings[0].parameters["period"].value == pytest.approx(period_mm, rel=1e-3)
