@@ -184,10 +184,16 @@ def at_constant_temperature(one: TermCandidate, candidates: Sequence[TermCandida
     """The candidate with the same shape at constant temperature; None where there is none."""
     if one.kind not in ("temperature", "difference"):
         return None
-    degree = DEGREE.get(one.effect, 0)
-    names = {"squareness"} if one.component[2] == "0" else {"polynomial_position", *(["scale"] if degree == 1 else [])}
-    alike = (c for c in candidates if c.offered and c.component == one.component and c.effect in names)
-    return next((c for c in alike if getattr(c.term.effect, "degrees", (degree,)) == (degree,)), None)
+    return next((c for c in candidates if c.offered and is_at_constant(c.term.effect, one.term.effect)), None)
+
+
+def is_at_constant(effect: Effect, thermal: Effect) -> bool:
+    """Whether an effect has the shape that an effect of `thermal` has at constant temperature."""
+    degree = DEGREE.get(thermal.effect, 0)
+    linear = ("scale",) if degree == 1 else ()
+    names = ("squareness",) if thermal.component[2] == "0" else ("polynomial_position", *linear)
+    alike = effect.component == thermal.component and effect.effect in names
+    return alike and getattr(effect, "degrees", (degree,)) == (degree,)
 
 
 def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: set[str]) -> list[TermCandidate]:

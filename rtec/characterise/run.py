@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.assemble import assemble, model_of
-from rtec.characterise.candidates import Drive, TermCandidate, at_constant_temperature, drive
+from rtec.characterise.candidates import Drive, TermCandidate, at_constant_temperature, drive, is_at_constant
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.grouping import apart, joined
@@ -192,8 +192,8 @@ def _fit_to(
     named, rules = _is_named(wanted), _Rules(places_only=one_way)
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
-        chosen = joined(_with_constant(screened, choice, rules))
-        chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
+        chosen = _with_constant(screened, choice, rules)
+        chosen = joined([chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else [])
         fit = _significant(sources, fixed, chosen, wanted, sum(c.offered for c in screened.candidates), tell)
         further = _further_rules(given.readings, fit, len(fixed), named, rules)
         if further == rules:
@@ -336,14 +336,16 @@ def _significant(
 ) -> Estimate:
     """Fit, and drop chosen terms that are neither significant nor spared, the least significant one first.
 
-    Degrees of a polynomial were chosen one by one, and are tested one by one.
+    Of a shape at constant temperature and several that change it with a temperature, all alike, none is significant;
+    the first goes after all of these but one. Degrees of a polynomial were chosen one by one, and are tested one by
+    one.
     """
     named = _is_named(wanted)
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
         sure, owner = surety(fit, candidates), fit.linear.owner - kept
         there = {_form(t) for i, t in enumerate(chosen) if sure[owner == i].max() >= 1.0}
-        idle: list[tuple[float, int, list[Term]]] = []
+        idle: list[tuple[float, int, Term, list[Term]]] = []
         for i, term in enumerate(chosen):
             # A named effect stays, but with one sensor only: further sensors must be significant.
             if named(term) and not (_sensed(term) and _form(term) in there):
@@ -351,10 +353,12 @@ def _significant(
             parts, columns = apart(term), np.flatnonzero(owner == i)
             for k, own in enumerate(np.split(columns, len(parts))):
                 if (s := float(sure[own].max())) < 1.0 and not spared(fit, own):
-                    idle.append((s, i, joined([*parts[:k], *parts[k + 1 :]])))
+                    idle.append((s, i, parts[k], joined([*parts[:k], *parts[k + 1 :]])))
         if not idle:
             return fit
-        _, gone, rest = min(idle, key=lambda one: one[:2])
+        thermal = [t.effect for _, _, t, _ in idle if _sensed(t)]
+        later = [sum(is_at_constant(t.effect, changed) for changed in thermal) > 1 for _, _, t, _ in idle]
+        _, (_, gone, _, rest) = min(zip(later, idle, strict=True), key=lambda one: (one[0], *one[1][:2]))
         chosen = [*chosen[:gone], *rest, *chosen[gone + 1 :]]
     blocks = sum(len(s.blocks.fold) for s in sources)
     why = "the readings are noise, or show an error that no effect describes"

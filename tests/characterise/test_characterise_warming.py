@@ -47,7 +47,8 @@ def test_another_day_is_predicted_as_by_the_law(seed: int, runs: int, source: st
 
 
 @pytest.mark.parametrize(
-    ("seed", "runs", "source", "lag_s"), [(16, 6, "T_air", 2500.0), (115, 6, "T_bed", 0.0), (200, 6, "T_air", 2500.0)]
+    ("seed", "runs", "source", "lag_s"),
+    [(16, 6, "T_air", 2500.0), (115, 6, "T_bed", 0.0), (200, 6, "T_air", 2500.0), (498, 12, "T_air", 900.0)],
 )
 def test_no_effects_that_cancel_on_a_short_record(seed: int, runs: int, source: str, lag_s: float) -> None:
     """The record tells too little of the law, so the other day is at least met better than by no model at all."""
