@@ -4,6 +4,7 @@ import json
 import resource
 import signal
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -23,15 +24,20 @@ def rows_in(path: Path) -> list[int]:
     return [json.loads(line)["row"] for line in path.read_text(encoding="utf-8").splitlines()]
 
 
-@pytest.fixture
-def _only_300_bytes_a_file() -> Iterator[None]:
-    """A write over the limit is cut short by the kernel, as on a disk that becomes full."""
+@contextmanager
+def only_300_bytes_a_file() -> Iterator[None]:
+    """A write over the limit is cut short by the kernel, as on a disk that becomes full.
+
+    No fixture: pytest writes its own lines before a fixture ends, and may write them to a file.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (300, hard))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    signal.signal(signal.SIGXFSZ, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
 
 
 def test_what_could_not_be_written_is_written_later_in_order(tmp_path: Path) -> None:
@@ -45,13 +51,13 @@ def test_what_could_not_be_written_is_written_later_in_order(tmp_path: Path) -> 
     assert rows_in(path) == [0, 1, 2, 3]
 
 
-@pytest.mark.usefixtures("_only_300_bytes_a_file")
 def test_no_half_line_is_left(tmp_path: Path) -> None:
     events = Events(tmp_path / "run.events.jsonl")
-    for k in range(2):
-        events.write(event(k))
-    with pytest.raises(OSError, match="No space left"):
-        events.write(event(2))
+    with only_300_bytes_a_file():
+        for k in range(2):
+            events.write(event(k))
+        with pytest.raises(OSError, match="No space left"):
+            events.write(event(2))
     assert rows_in(tmp_path / "run.events.jsonl") == [0, 1]
 
 
