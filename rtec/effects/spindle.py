@@ -15,6 +15,19 @@ from rtec.effects.thermal import TAU, named
 from rtec.errors import ModelError
 from rtec.machine import Machine
 
+NO_SPINDLE = "it is no part of the spindle"
+OTHER_BODIES = ("table", "bed", "base", "column", "granite", "frame", "pallet", "fixture")
+"""Words in the names of links that are no spindle."""
+
+
+def _of_spindle(around: Surroundings) -> bool:
+    """Whether a component is of the link that is named after the spindle; where none is, of no other body's."""
+    links, link = (*around.machine.tool_chain, *around.machine.work_chain), around.component[3:]
+    own = [name for name in links if "spindle" in name.lower() or name.lower() == "s"]
+    if own:
+        return link in own
+    return "spindle_rpm" in around.channels and not any(word in link.lower() for word in OTHER_BODIES)
+
 
 class SpindleGrowth(Effect):
     """Spindle growth: with a sensor `e = k ΔT` (lagged with `lag`), without one `e = k L[(n/1000)^p]`."""
@@ -65,8 +78,10 @@ class SpindleGrowth(Effect):
 
     @classmethod
     def missing(cls, around: Surroundings) -> str:
-        """Needs the speed or a temperature; across the spindle the speed."""
+        """Needs the spindle's link, and the speed or a temperature; across the spindle the speed."""
         fed = component_kind(around.component, around.machine) in cls.feeds
+        if fed and not _of_spindle(around):
+            return NO_SPINDLE
         if not fed or "spindle_rpm" in around.channels or (around.sensors and cls._by_sensor(around)):
             return ""
         return (
@@ -144,6 +159,12 @@ class SpindleSpeedShift(Effect):
     feeds: ClassVar[tuple[Kind, ...]] = ("link", "link_angle")
     driven_by: ClassVar[tuple[str, ...]] = ("spindle_rpm",)
     effect: Literal["spindle_speed_shift"] = "spindle_speed_shift"
+
+    @classmethod
+    def missing(cls, around: Surroundings) -> str:
+        """Needs the spindle's link, and its speed."""
+        fed = component_kind(around.component, around.machine) in cls.feeds
+        return super().missing(around) or (NO_SPINDLE if fed and not _of_spindle(around) else "")
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`c`, at 1000 1/min."""

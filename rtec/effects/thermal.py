@@ -265,15 +265,20 @@ class MountExpansion(OneSensor):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every sensor without an effect of its own: not the coolant's, nor along the spindle the spindle's."""
+        """Every sensor without an effect of its own: not the coolant's, nor along the spindle the spindle's.
+
+        Each also delayed, for a body that warms up after its sensor; of the air, `ambient_drift` is that.
+        """
         kind = component_kind(around.component, around.machine)
         taken = set(_in_coolant(around)) if kind in CoolantExpansion.feeds else set()
         if kind == "link" and around.component[1] == "Z":
             own = set(named(around.sensors, "spindle"))
             taken |= own if len(own) < len(around.sensors) else set()
-        for sensor in around.sensors:
-            if sensor not in taken:
-                yield {"sensor": sensor}
+        left = [s for s in around.sensors if s not in taken]
+        yield from ({"sensor": sensor} for sensor in left)
+        if kind != "straightness":
+            air = named(around.sensors, "air", "amb", "room")
+            yield from ({"sensor": sensor, "lag": True} for sensor in left if sensor not in air)
 
     @classmethod
     def missing(cls, around: Surroundings) -> str:

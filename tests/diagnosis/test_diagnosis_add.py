@@ -243,10 +243,10 @@ def test_what_follows_a_temperature_late_is_added_beside_the_same_at_once() -> N
 
 
 def test_any_effect_of_the_model_that_follows_a_temperature_may_follow_it_late() -> None:
-    """Oracle: the list of candidates. A mounting's expansion is tried late only where the model has it at once."""
+    """Oracle: the list of candidates. Heat in a ball screw's nut is tried late only where the model has it at once."""
     readings = clean([laser([SCALE], 5)]).readings
-    there = model_of("mount_expansion,component=EXX,sensor=T_bed,k=2").effects
-    with_it, without = (library(readings, ["mount_expansion"], known)[0] for known in (there, ()))
+    there = model_of("backlash_temperature,component=EXX,axis=X,sensor=T_bed,k=2").effects
+    with_it, without = (library(readings, ["backlash_temperature"], known)[0] for known in (there, ()))
     late = [c.effect for c in with_it if getattr(c.effect, "lag", False)]
     assert late == [there[0].effect.model_copy(update={"lag": True})]
     assert not any(getattr(c.effect, "lag", False) for c in without)

@@ -1,5 +1,6 @@
 """The answer of a search: findings with their rivals, numbers with their errors, and the verdict."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -314,7 +315,8 @@ class _Answer:
             *([self.s.partner] if self.s.partner is not None else []),
             *(t.number for t in self.s.chain),
         ]
-        read = {c for n in named for c in self.s.candidates[n].effect.channels(machine)}
+        prompt = [n for n in named if not self._delayed(n)] or named
+        read = {c for n in prompt for c in self.s.candidates[n].effect.channels(machine)}
         if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(read):
             slow = self._slow_beside(first, findings[0].size_um)
         slow = slow or self._heat_by_time()
@@ -332,7 +334,9 @@ class _Answer:
         growth; it is then reported beside it.
         """
         refits, odds = self.s.refits, self.s.prior_odds
-        last = self.s.chain[-1] if self.s.chain else first
+        # A temperature that is delayed at will may stand for heat that nothing recorded.
+        chain = list(itertools.takewhile(lambda t: not self._delayed(t.number), self.s.chain))
+        last = chain[-1] if chain else first
         slow = unrecorded_heat(self.readings, last.fit, size_um)
         if slow is None:
             return None
@@ -341,9 +345,12 @@ class _Answer:
             best = max(sure, key=lambda t: t.log_evidence, default=first)
             slow = slow if best is first else unrecorded_heat(self.readings, best.fit, size_um)
         apart = first.drop >= NOTHING_MUCH and refits.beside_slopes(first) - odds >= SURE
-        named = np.concatenate([t.columns for t in self.s.chain or [first]], axis=1)
+        named = np.concatenate([t.columns for t in chain or [first]], axis=1)
         apart |= unrecorded_heat(self.readings, last.fit, size_um, named) is None
         return replace(slow, fatal=False) if slow is not None and apart else slow
+
+    def _delayed(self, number: int) -> bool:
+        return bool(getattr(self.s.candidates[number].effect, "lag", False))
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same, each with the shortest test that this machine can take and that separates them."""
