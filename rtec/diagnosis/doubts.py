@@ -245,8 +245,11 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     leaves; and new numbers of no single effect do, and no missing effect of one number leaves clearly less.
 
     An edit has one number. Several effects that all changed by just as much are less likely than a fault of the record.
+    A model that was fitted to this record as it is shows no place of an axis but that of the record.
     """
     readings = judged.readings
+    if any(m.fingerprint in judged.model.measurements.values() for m in readings.measurements):
+        return False
     usual = _error_of_fit(judged.model, judged.unit, readings.measurements)
     by_fit = 0.0 if usual is None else NEAR_FIT * max(usual, judged.noise_floor)
     by_refit = LIKE_REFIT * judged.refitted if found.kind in ("moved_origin", "turned_axis") else 0.0

@@ -11,7 +11,7 @@ from rtec.bench.trials import build
 from rtec.diagnosis.heat import lag_assumed
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.search.refit import WAVES, slow_slopes
+from rtec.diagnosis.search.refit import HALF_WAVES, slow_slopes
 from rtec.diagnosis.search.screen import Bank, Projected, screen_all
 from rtec.effects import effect_class
 from rtec.estimation.candidates import library
@@ -226,7 +226,7 @@ def _runs_along_x(runs: int, memory_s: float) -> Whitener:
     return Whitener(read([m]), (Noise(0.5, 1.0, memory_s, 0.0),), (np.zeros(0),))
 
 
-@pytest.mark.parametrize(("runs", "memory_s", "columns"), [(8, 1.0, 8), (200, 1.0, WAVES), (200, 1e6, 2)])
+@pytest.mark.parametrize(("runs", "memory_s", "columns"), [(8, 1.0, 8), (200, 1.0, HALF_WAVES), (200, 1e6, 2)])
 def test_slopes_are_as_quick_as_the_memory_and_fit_a_long_record(runs: int, memory_s: float, columns: int) -> None:
     """Oracle: a quick drift gives each of eight runs its slope, a slow one a straight line; many have a bound."""
     slopes = slow_slopes(_runs_along_x(runs, memory_s))

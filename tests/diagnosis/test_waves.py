@@ -180,7 +180,7 @@ def test_a_wave_along_a_long_axis_is_named_with_its_period(period_mm: float) -> 
     reading = 4.0 * np.sin(2.0 * math.pi * x / period_mm) + NOISE_UM * rng.standard_normal(len(x))
     channels = {"x": x, "d_x": np.tile(np.repeat([1.0, -1.0], len(places)), 5)}
     made = make_instrument("laser_linear", {}, "X", None, machine, "test")
-    run, time_s = np.repeat(np.arange(5), 2 * len(places)), np.arange(len(x)) * 4.0
+    run, time_s = np.repeat(np.arange(5), 2 * len(places)), np.linspace(0.0, 4.0 * len(x), len(x))
     m = Measurement("laser", made, machine, run, time_s, channels, {"reading_um": reading})
     d = diagnose(Model(machine, tuple(effect_from_text(t, machine) for t in KNOWN), name="known"), [m], draws=50)
     assert d.verdict == "missing_effect"

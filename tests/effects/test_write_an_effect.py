@@ -28,6 +28,7 @@ from rtec.loop.records import Samples
 from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.model import Model, load_model, save_model
 from rtec.model.file import tables
+from tests.diagnosis.test_waves import found_in
 from tests.support.compiled_model import compile_model
 from tests.support.machines import turning_centre
 from tests.support.tip_fit import fit_model
@@ -172,3 +173,16 @@ def test_what_else_the_page_says() -> None:
     assert told == {f.name for f in dataclasses.fields(Surroundings)}
     words = set(re.findall(r"`([a-z_ ]+)`", given.split("Kinds for")[1]))
     assert words == {*get_args(Kind), *DRIVES, "feeds", "driven_by"}
+
+
+@pytest.mark.usefixtures("installed")
+@pytest.mark.parametrize("place_mm", [170.0, 214.0, 300.0])
+def test_diagnose_names_it_wherever_the_patch_is(place_mm: float) -> None:
+    """Oracle: the patch that the readings were made with; the screen tries six places only, and 214 and 300 between."""
+    x = np.arange(12.5, 600.0, 25.0)
+    d = found_in(-8.0 * np.exp(-(((x - place_mm) / 60.0) ** 2)), x, 4)
+    assert d.findings[0].effect.effect == "worn_patch"
+    assert d.verdict in ("missing_effect", "ambiguous")
+    found = d.findings[0].parameters
+    assert found["q0"].value == pytest.approx(place_mm, abs=1.0)
+    assert found["w"].value == pytest.approx(60.0, abs=1.0)

@@ -442,7 +442,8 @@ class _Search:
             return False, share, self._unknown(local)
         if top is None or top.log_evidence < best.log_evidence + WITHIN:
             bar = best.log_evidence + WITHIN if top is None else top.log_evidence + WITHIN
-            return share >= LEAST or self._with_another(best, top) > bar, share, None
+            named = share >= LEAST or self._with_another(best, top) > bar
+            return named, share, None if named or top is None else self._unknown(top)
         # A shape without a name is likelier. Where the effect is almost that shape, or is one of two that together are
         # likelier than the shape, its name is still the better answer.
         named = share >= ADEQUATE or self._with_another(best, top) > top.log_evidence

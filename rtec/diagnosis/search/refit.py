@@ -29,7 +29,7 @@ from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, solve, 
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
 from rtec.estimation.outliers import Clean, WrongReading
 from rtec.estimation.readings import Readings, looked_at
-from rtec.estimation.targets import predicts_targets
+from rtec.estimation.targets import WAVES, predicts_targets
 from rtec.estimation.visible import within_record
 from rtec.model import Model
 from rtec.model.fit import SearchScale
@@ -40,7 +40,9 @@ Theta = Mapping[str, float]
 
 EVALUATIONS = 12
 OPTIONS: dict[str, Any] = {"ftol": 1e-5, "xtol": 1e-6, "diff_step": 1e-4, "max_nfev": EVALUATIONS}
-EDGE = 1e-6
+EDGE, END, MOVES = 1e-6, 1e-3, 3
+"""Distances from the ends of a search, as shares of it, from which it starts, and from which its result is at an end;
+and how often it is then moved."""
 
 
 def polished(
@@ -57,14 +59,43 @@ def polished(
     """
     start = dict(grid[best])
     parameters = within_record(effect, readings.measurements)
-    free = [_between(p, grid, start) for p in parameters if _smooth(p)]
+    smooth = [p for p in parameters if _smooth(p)]
+    free = [_between(p, grid, start) for p in smooth]
     instants = {p.name: _nearby(p.name, grid, start, readings) for p in parameters if _instant(p)}
     if not free and not instants:
         return start
     search = _Search(effect, start, free, readings, projected())
     for name, times in instants.items():
         search.start = min(({**search.start, name: t} for t in times), key=search.squares, default=start)
-    return search.best() if free else search.start
+    if not free:
+        return search.start
+    found = search.best()
+    for _ in range(MOVES):
+        # A bump between two places of the grid looked wider there than it is.
+        moved = [
+            _about(p, b, found[p.name]) if _at_end(p, b, found[p.name]) else b
+            for p, b in zip(smooth, search.free, strict=True)
+        ]
+        if moved == search.free:
+            break
+        search = _Search(effect, found, moved, readings, search.projected)
+        found = search.best()
+    return found
+
+
+def _at_end(p: Parameter, box: Parameter, value: float) -> bool:
+    """Whether a value is at an end of a search that is no bound of the parameter."""
+    place = SearchScale.of(box).place(value)
+    return (place < END and box.low > p.low) or (place > 1.0 - END and box.high < p.high)
+
+
+def _about(p: Parameter, box: Parameter, value: float) -> Parameter:
+    """A search of the same width about a value."""
+    if p.low > 0.0:
+        factor = math.sqrt(box.high / box.low)
+        return replace(box, low=max(value / factor, p.low), high=min(value * factor, p.high))
+    half = 0.5 * (box.high - box.low)
+    return replace(box, low=max(value - half, p.low), high=min(value + half, p.high))
 
 
 def _smooth(p: Parameter) -> bool:
@@ -163,7 +194,7 @@ class _Search:
         return np.asarray(self.projected.left - white @ solve(white, self.projected.left))
 
 
-QUICKEST, WAVES = 3.0, 60
+QUICKEST, HALF_WAVES = 3.0, 60
 """A drift changes by half-waves down to its memory over the first; at most this many, so that long records fit."""
 
 
@@ -179,7 +210,7 @@ def slow_slopes(noise: Whitener) -> Floats:
         middle = np.stack([np.bincount(s.run, p) for p in places.T], axis=1) / np.bincount(s.run)[:, None]
         slopes = places - middle[s.run]
         slopes = slopes[:, np.sqrt(np.mean(slopes**2, axis=0)) > REAL["mm"]]
-        waves = min(int(s.run[-1]) + 1, math.ceil(QUICKEST * s.pace_s[0] / n.tau_s) + 1, WAVES)
+        waves = min(int(s.run[-1]) + 1, math.ceil(QUICKEST * s.pace_s[0] / n.tau_s) + 1, HALF_WAVES)
         when = np.outer((s.time_s - s.time_s[0]) / s.pace_s[0], np.pi * np.arange(waves))
         own = (np.cos(when)[:, :, None] * slopes[:, None, :]).reshape(len(s), -1)
         whole = np.zeros((len(readings), own.shape[1]))
@@ -360,7 +391,9 @@ class Refits:
             theta, columns, fit, likely = self._fitted(weighed, number, base)
             evidence = likely - current.log_likelihood
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
-            return Refitted(number, theta, columns, fit, evidence, *self._judged(number, fit.whitener, base, columns))
+            return Refitted(
+                number, theta, columns, fit, evidence, *self._judged(number, theta, fit.whitener, base, columns)
+            )
 
         # A candidate that predicts held-out runs worse is no winner, whatever its evidence.
         ordered = sorted(each(refit, chosen, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
@@ -418,7 +451,7 @@ class Refits:
         def refit(number: int) -> Refitted:
             theta, columns, fit, likely = self._fitted(found, number, base)
             evidence = first.log_evidence + likely - first.fit.log_likelihood
-            judged = self._judged(number, fit.whitener, base, fit.columns[:, width:])
+            judged = self._judged(number, theta, fit.whitener, base, fit.columns[:, width:])
             return Refitted(number, theta, columns, fit, evidence, *judged, base.shape[1])
 
         return self._with_rivals(
@@ -507,7 +540,7 @@ class Refits:
         for number in self._few(found, may, []):
             theta, own, fit, likely = self._fitted(found, number, base)
             gain = likely - now.log_likelihood
-            judged = self._judged(number, fit.whitener, base, fit.columns[:, width:])
+            judged = self._judged(number, theta, fit.whitener, base, fit.columns[:, width:])
             if gain > bar:
                 tried.append(Refitted(number, theta, own, fit, evidence + gain, *judged, base.shape[1]))
         return self._grown([self._plainest(self._with_rivals(found, tried, []))], bar, may) if tried else []
@@ -547,7 +580,7 @@ class Refits:
             for number in self._few(found, may, there):
                 theta, columns, fit, likely = self._fitted(found, number, last.fit.columns)
                 gain = likely - last.fit.log_likelihood
-                drop, left_out = self._judged(number, fit.whitener, last.fit.columns, fit.columns[:, width:])
+                drop, left_out = self._judged(number, theta, fit.whitener, last.fit.columns, fit.columns[:, width:])
                 if gain > bar and 1.0 - drop < (1.0 - MORE) * (1.0 - last.drop):
                     evidence = last.log_evidence + gain
                     more.append(
@@ -635,7 +668,7 @@ class Refits:
             tried = []
             for t in left:
                 fit = self.fit(np.concatenate([base, t.columns], axis=1))
-                drop, gain = self._judged(t.number, fit.whitener, base, fit.columns[:, width:])
+                drop, gain = self._judged(t.number, t.theta, fit.whitener, base, fit.columns[:, width:])
                 before = base.shape[1] if out else None
                 likely = evidence + fit.log_likelihood - costs[t.number]
                 tried.append(replace(t, fit=fit, log_evidence=likely, drop=drop, gain=gain, before=before))
@@ -769,18 +802,23 @@ class Refits:
             best = max(best, (gain - self.current.log_likelihood, columns), key=lambda b: b[0])
         return best
 
-    def _judged(self, number: int, whitener: Whitener, beside: Floats, columns: Floats) -> tuple[float, float]:
-        """`held_out_gain`; the fall is zero for a wave that does not predict the held-out targets.
+    def _judged(
+        self, number: int, theta: Theta, whitener: Whitener, beside: Floats, columns: Floats
+    ) -> tuple[float, float]:
+        """`held_out_gain`; the fall is zero for a shape along an axis that does not predict the held-out targets.
 
         Args:
             number: of the candidate.
+            theta: its non-linear parameters, refined from the grid's values.
             whitener: the noise.
             beside: columns without the candidate, (m, p).
             columns: beyond the current model, with it, (m, k).
         """
         drop, gain = self.held_out_gain(whitener, columns)
         candidate = self.candidates[number]
-        if drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, candidate.thetas):
+        # A wave of any period fits some targets. A bump between two places of the grid is found only where it is.
+        thetas = candidate.thetas if isinstance(candidate.effect, WAVES) else (*candidate.thetas, theta)
+        if drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, thetas):
             return 0.0, min(gain, 0.0)
         return drop, gain
 

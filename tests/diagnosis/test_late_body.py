@@ -1,0 +1,119 @@
+"""Bodies that warm up after their sensors, or about another end of an axis. Oracle: the law in the readings."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.characterise import fitted_model
+from rtec.characterise.effect_list import read_wanted
+from rtec.diagnosis import doubts
+from rtec.diagnosis.search import diagnose as search
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.candidates import library
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import clean
+from rtec.estimation.readings import read
+from rtec.machine import Machine, machine_from
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
+from tests.support.diagnosis_examples import TABLE
+from tests.support.machines import axis
+
+Floats = NDArray[np.float64]
+RUNS, TARGETS, NOISE_UM = 16, 15, 0.2
+
+
+def mill() -> Machine:
+    """X from -600 to 0 mm; a head and a table, and no link that is named after a spindle."""
+    chains = {"name": "mill", "tool_chain": ["Z", "head", "tool"], "work_chain": ["X", "table"]}
+    links = {name: {"offset_mm": [0.0, 0.0, 50.0]} for name in ("head", "tool", "table")}
+    axes = {**TABLE["axis"], "X": axis("X", travel_mm=[-600.0, 0.0])}
+    return machine_from({**TABLE, "machine": chains, "axis": axes, "link": links}, "mill")
+
+
+def delayed(rise: Floats, time_s: Floats, tau_s: float) -> Floats:
+    """First-order lag in small steps."""
+    fine = np.arange(0.0, time_s[-1] + 10.0, 10.0)
+    given, out = np.interp(fine, time_s, rise), np.empty(len(fine))
+    out[0] = given[0]
+    for i in range(1, len(fine)):
+        out[i] = out[i - 1] + (1.0 - math.exp(-10.0 / tau_s)) * (given[i] - out[i - 1])
+    return np.asarray(np.interp(time_s, fine, out))
+
+
+def line(
+    seed: int, tau_s: float = 0.0, um_per_degc: float = 0.0, growth: float = 0.0, fixed_mm: float = 0.0
+) -> Measurement:
+    """A laser along X while the bed warms for five hours and cools for three; the spindle runs in between.
+
+    Args:
+        seed: of the noise.
+        tau_s: delay of the mounting behind T_bed.
+        um_per_degc: growth of the mounting.
+        growth: of the screw, µm/(m·K), about `fixed_mm`.
+        fixed_mm: its fixed end.
+    """
+    rng, machine = np.random.default_rng(seed), mill()
+    there = np.linspace(-590.0, -10.0, TARGETS) + rng.uniform(-8.0, 8.0, TARGETS)
+    x = np.tile(np.concatenate([there, there[::-1]]), RUNS)
+    time_s = np.concatenate([1800.0 * r + 6.0 * np.arange(2 * TARGETS) for r in range(RUNS)])
+    hours = time_s / 3600.0
+    rise = np.where(hours < 5.0, 3.0 * (1.0 - np.exp(-hours / 1.5)), 2.9 * np.exp(-np.maximum(hours - 5.0, 0.0) / 1.2))
+    body = delayed(rise, time_s, tau_s) if tau_s else rise
+    error = um_per_degc * body + growth * 1e-3 * (x - fixed_mm) * rise + 8e-3 * x
+    reading = error + NOISE_UM * rng.standard_normal(len(x))
+    channels = {
+        "x": x, "d_x": np.tile(np.repeat([1.0, -1.0], TARGETS), RUNS), "T_bed": 20.0 + rise,
+        "T_air": 20.0 + 0.3 * np.sin(hours), "spindle_rpm": np.where((hours > 0.5) & (hours < 5.0), 3000.0, 0.0),
+    }  # fmt: skip
+    made = make_instrument("laser_linear", {}, "X", None, machine, "test")
+    run = np.repeat(np.arange(RUNS), 2 * TARGETS)
+    return Measurement("laser", made, machine, run, time_s, channels, {"reading_um": reading})
+
+
+@pytest.mark.parametrize("tau_s", [1500.0, 3000.0])
+def test_a_mounting_that_warms_after_its_sensor_is_named_with_its_delay(tau_s: float) -> None:
+    """It had been called a spindle that grows in a table, or nothing of the catalogue."""
+    m = line(3, tau_s, um_per_degc=3.0)
+    d = diagnose(fitted_model([m], wanted=read_wanted("scale:EXX", m.machine)), [m], draws=50)
+    first = d.findings[0]
+    assert d.verdict in ("missing_effect", "ambiguous")
+    assert (first.effect.effect, getattr(first.effect, "sensor", ""), getattr(first.effect, "lag", None)) == (
+        "mount_expansion", "T_bed", True,
+    )  # fmt: skip
+    assert first.parameters["tau"].value == pytest.approx(tau_s, rel=0.1)
+    assert first.parameters["k"].value == pytest.approx(3.0, rel=0.05)
+
+
+def test_a_table_is_no_spindle() -> None:
+    """Where no link is named after the spindle, any other body but a table may be it."""
+    tried = [c.effect for c in library(read([line(1)]))[0]]
+    links = {e.component[3:] for e in tried if e.effect.startswith("spindle")}
+    assert links <= {"head", "tool"}
+
+
+def test_the_record_that_a_model_was_fitted_to_is_not_accused_of_a_turned_axis() -> None:
+    """A fit follows the places that the record has: with X turned round it might fit better, but X was not turned."""
+    m = line(5, growth=8.0, fixed_mm=-600.0)
+    known = fitted_model([m], wanted=read_wanted("scale:EXX,axis_expansion:EXX:sensor=T_bed", m.machine))
+    turned = doubts._Edit(0.0, "turned_axis", "", "", "")
+    of_another_day = replace(known, measurements={"another": "day"})
+    assert doubts._as_in_the_fit(Judgement(of_another_day, clean([m])), turned)
+    assert not doubts._as_in_the_fit(Judgement(known, clean([m])), turned)
+    d = diagnose(known, [m], draws=50)
+    assert d.findings[0].effect.effect in ("mount_expansion", "axis_expansion")
+
+
+def test_what_is_significant_is_never_called_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An effect that explains half of what a shape without a name does is no answer; the shape is one."""
+    m = line(7)
+    u = m.channels["x"] / 300.0 + 1.0
+    m = replace(m, readings={"reading_um": m.readings["reading_um"] - 2.5 * u**2 - 1.5 * u**3})
+    monkeypatch.setattr(search, "adequacy", lambda *_: 0.5)
+    monkeypatch.setattr(search._Search, "_with_another", lambda *_: -math.inf)
+    d = diagnose(fitted_model([m], wanted=read_wanted("scale:EXX", m.machine)), [m], draws=50)
+    assert d.verdict != "nothing_missing"
+    assert d.unknown is not None
