@@ -388,6 +388,7 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "map.rows.where": '"bed_target == 105"',
     "map.column.NAME.from": '"Abweichung"',
     "map.column.NAME.minus": '"Soll"',
+    "map.column.NAME.minus_unit": '"um"',
     "map.column.NAME.unit": '"µm"',
     "map.column.NAME.values": "{fwd = 1.0, bwd = -1.0}",
     "map.column.NAME.missing_codes": "[-9999.0]",

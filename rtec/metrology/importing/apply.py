@@ -1,5 +1,6 @@
 """Applies a map: turns a table of another program into the columns of a measurement, with notes on every step."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -24,6 +25,12 @@ from rtec.metrology.readers.base import ForeignTable
 from rtec.metrology.units import convert, unit_of_column
 from rtec.result import Kind, Result, frame
 from rtec.tomlfile import nearest
+
+PLACE = re.compile(r"[a-z][a-z0-9]*_mm")
+LEAST_TRAVEL_MM = 1.0
+DOUBTFUL, LIKE = 0.01, 0.1
+"""Machines err by less than the first share of the travel; readings that differ from positions by less than the second
+are positions."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +122,7 @@ def _part(path: Path, how: ImportMap) -> _Part:
         raise MeasurementError("\n".join(faults))
     keep = _after_first(columns, how, keep, str(path), notes)
     columns = {n: v[keep] for n, v in columns.items()}
+    notes += _doubts(columns, str(path))
     table = table.rows(keep)
     clock = seconds(table, how.time, str(path))
     notes += clock.notes
@@ -298,6 +306,36 @@ def _held(values: Floats) -> Floats:
     return values[last]
 
 
+def _doubts(columns: Mapping[str, Floats], source: str) -> list[str]:
+    """Notes on readings that vary with the travel by more than machines err.
+
+    Raises:
+        MeasurementError: they are the positions themselves, or the negative.
+    """
+    place = max((v for n, v in columns.items() if PLACE.fullmatch(n)), key=_spread, default=np.zeros(0))
+    if (travel_mm := _spread(place)) < LEAST_TRAVEL_MM:
+        return []
+    out = []
+    for name, values in columns.items():
+        if not name.startswith("reading") or not name.endswith("_um"):
+            continue
+        read_mm = 1e-3 * values
+        said = f"{name} varies by {_spread(read_mm):.4g} mm over a travel of {travel_mm:.4g} mm"
+        if min(_spread(read_mm - place), _spread(read_mm + place)) < LIKE * travel_mm:
+            raise MeasurementError(
+                f"{source}: {said}: these are positions, no deviations; correct from, minus or unit of [column.{name}]"
+            )
+        if _spread(read_mm) > DOUBTFUL * travel_mm:
+            out.append(f"doubtful: {said}; are these deviations, and in the right unit?")
+    return out
+
+
+def _spread(values: Floats) -> float:
+    """Range between the quartiles, twice: outliers do not count."""
+    known = values[np.isfinite(values)]
+    return float(2.0 * np.subtract(*np.percentile(known, (75.0, 25.0)))) if len(known) else 0.0
+
+
 def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> None:
     used = {how.time.column, how.time.date, how.run.column} | {
         n for c in how.column.values() for n in (c.from_, c.minus)
@@ -322,11 +360,12 @@ def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source:
         gaps = int((np.isnan(values) & np.isfinite(held) & keep).sum())
         notes.append(f"column {column.from_!r}: last value held in {gaps} rows")
         values = held
-    if column.minus is not None:
-        values = values - table.numbers(column.minus, source)
-    if column.take is not None:
-        values = _taken(values, column, table, source)
     try:
+        if column.minus is not None:
+            less = _unit_of_minus(table, name, column, unit, source)
+            values = values - convert(table.numbers(column.minus, source), less, unit)
+        if column.take is not None:
+            values = _taken(values, column, table, source)
         values = convert(values * (column.scale * column.sign), unit, target)
     except ValueError as e:
         raise MeasurementError(f"{source}: [column.{name}] {e}") from e
@@ -369,15 +408,25 @@ def _numbers(table: ForeignTable, column: Column, keep: Bools, source: str) -> F
 
 def _unit(table: ForeignTable, name: str, column: Column, target: str, source: str) -> str:
     """The unit of the file's numbers: the map's or the reader's, which must agree."""
-    own = table.units.get(column.from_, "")
-    if column.unit and own and own not in (column.unit, "1"):
-        raise MeasurementError(
-            f"{source}: [column.{name}] unit = {column.unit!r}, but the file says that {column.from_!r} is in {own}; "
-            "leave unit out, or use scale"
-        )
-    if column.minus is not None and own and table.units.get(column.minus, own) != own:
-        raise MeasurementError(f"{source}: [column.{name}] {column.from_!r} and {column.minus!r} differ in unit")
-    unit = column.unit or own
+    unit = _agreed(table.units.get(column.from_, ""), column.unit, name, "unit", column.from_, source)
     if not unit and target != "1":
         raise MeasurementError(f"{source}: [column.{name}] nobody tells the unit of {column.from_!r}; say unit = …")
     return unit or target
+
+
+def _unit_of_minus(table: ForeignTable, name: str, column: Column, unit: str, source: str) -> str:
+    """The unit of the subtracted numbers; of two columns without a unit it is the same."""
+    minus = column.minus or ""
+    less = _agreed(table.units.get(minus, ""), column.minus_unit, name, "minus_unit", minus, source)
+    if not less and table.units.get(column.from_):
+        raise MeasurementError(f"{source}: [column.{name}] nobody tells the unit of {minus!r}; say minus_unit = …")
+    return less or unit
+
+
+def _agreed(own: str, given: str | None, name: str, key: str, of: str, source: str) -> str:
+    if given and own and own not in (given, "1"):
+        raise MeasurementError(
+            f"{source}: [column.{name}] {key} = {given!r}, but the file says that {of!r} is in {own}; "
+            f"leave {key} out, or use scale"
+        )
+    return given or own

@@ -29,7 +29,8 @@ class Column(Strict):
 
     Attributes:
         from_: column of the file.
-        minus: column of the file that is subtracted, in the same unit: actual minus nominal.
+        minus: column of the file that is subtracted: actual minus nominal.
+        minus_unit: unit of that column, where the reader does not know it and it differs from `unit`.
         take: "sum": the file has steps, and the value is the sum of all so far; "difference": the file has running
             totals, and the value is each one minus the one before. Rows that are not used count, too.
         unit: unit of the file's numbers, where the reader does not know it; by default the measurement's own.
@@ -41,6 +42,7 @@ class Column(Strict):
 
     from_: str = Field(alias="from")
     minus: str | None = None
+    minus_unit: str | None = None
     take: Literal["sum", "difference"] | None = None
     unit: str | None = None
     scale: Factor = 1.0
@@ -50,10 +52,16 @@ class Column(Strict):
     values: dict[str, Coefficient] = Field(default_factory=dict)
     missing_codes: tuple[Code, ...] = ()
 
-    @field_validator("unit")
+    @field_validator("unit", "minus_unit")
     @classmethod
     def _known(cls, unit: str | None) -> str | None:
         return unit if unit is None else canonical(unit)
+
+    @model_validator(mode="after")
+    def _minus_first(self) -> "Column":
+        if self.minus_unit and not self.minus:
+            raise ValueError("minus_unit belongs to minus, which is missing")
+        return self
 
     @field_validator("scale")
     @classmethod

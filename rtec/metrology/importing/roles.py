@@ -16,6 +16,7 @@ from rtec.metrology.importing.words import (
     DIRECTIONS,
     axis_letter,
     bare_unit,
+    difference,
     has,
     is_nominal,
     is_place,
@@ -41,6 +42,9 @@ TRIED = 400
 """Number of cells on which a format of time is tried."""
 FEW_LINES = 2
 """Up to this many lines without a time count as remarks above or below the rows."""
+SMALL = 0.1
+"""Deviations are below this share of the travel; an actual position differs from its nominal one by less."""
+MEANS = {1: "actual minus nominal", -1: "nominal minus actual, turned round"}
 LEAVE = "leave out"
 LENGTH_HINT = "um, mm, inch; for counts the size of one, such as 2.5 um"
 UNIX = (1e8, 5e9)
@@ -309,16 +313,45 @@ class ColumnRoles:
     def _is_reading(self, name: str) -> bool:
         unit = self.units.get(name, "")
         kind = UNITS[unit].kind if unit else ""
+        if kind not in ("", "length", "angle") or self._is_actual_place(name):
+            return False
+        if difference(name) is not None or (has(name, "actual") and self._is_small(name)):
+            return True
         if unit in ("um", "nm", "mil", "uinch") or kind == "angle":
-            return not has(name, "nominal") and not self._is_actual_place(name)
-        return has(name, "deviation") and kind in ("", "length")
+            return not has(name, "nominal")
+        return has(name, "deviation")
 
     def _is_actual_place(self, name: str) -> bool:
-        """Whether a column is an actual position, not a deviation: it has the range of a nominal position."""
+        """Whether a column is an actual position, not a deviation: it follows a nominal position."""
         if not has(name, "actual") or has(name, "deviation"):
             return False
-        same = [n for n in self._free() if is_nominal(n) and self.units.get(n) == self.units.get(name)]
-        return any(np.ptp(self._finite(name)) > 0.5 * np.ptp(self._finite(n)) > 0.0 for n in same)
+        return any(self._follows(name, n) for n in self._nominal_places(name))
+
+    def _is_small(self, name: str) -> bool:
+        """Whether the values are far below the travel of the nominal positions that it may belong to."""
+        places = [n for n in self._nominal_places(name) if _spread(self._finite(n)) > 0.0]
+        size = {n: [np.abs(v).max() for v, _ in self._pairs(name, n)] for n in places}
+        way = {n: [_spread(w) for _, w in self._pairs(name, n)] for n in places}
+        return bool(places) and all(v < SMALL * w for n in places for v, w in zip(size[n], way[n], strict=True))
+
+    def _nominal_places(self, name: str) -> list[str]:
+        """The nominal positions that a column may belong to, by the letter of the axis."""
+        others = [n for n in self._free() if n != name and not has(n, "actual") and not has(n, "deviation")]
+        letters = ("", axis_letter(name)) if axis_letter(name) else ("", *"XYZUVW")
+        return [n for n in others if self._is_position(n) and axis_letter(n) in letters and len(self._finite(n))]
+
+    def _pairs(self, name: str, place: str) -> list[tuple[Floats, Floats]]:
+        """The values of two columns where both have one: in mm, and as they are where the unit of one is unknown."""
+        raw = np.stack([self._values(name), self._values(place)])
+        raw = raw[:, np.isfinite(raw).all(axis=0)]
+        units = [self.units.get(n, "") for n in (name, place)]
+        mm = raw * np.array([[UNITS[u].factor if u else 1.0] for u in units])
+        both = [mm] if all(units) or units == ["", ""] else [mm, raw]
+        return [(v[0], v[1]) for v in both if v.shape[1]]
+
+    def _follows(self, name: str, place: str) -> bool:
+        """Whether a column has the values of a position, but for a constant and what is small beside its travel."""
+        return any(_spread(v - w) < SMALL * _spread(w) for v, w in self._pairs(name, place))
 
     def _is_position(self, name: str) -> bool:
         unit = self.units.get(name, "")
@@ -360,11 +393,11 @@ class ColumnRoles:
             out[name] = letter
         return out
 
-    def _length(self, name: str) -> dict[str, Any]:
+    def _length(self, name: str, usual: str | None = "mm") -> dict[str, Any]:
         """`unit` of a position where the file lacks it, and `scale` where the numbers are counts."""
         if self.units.get(name):
             return {}
-        answer = self.ask(f"unit of {name}", f"Unit of the position {name!r}?", (), "mm", LENGTH_HINT)
+        answer = self.ask(f"unit of {name}", f"Unit of the position {name!r}?", (), usual, LENGTH_HINT)
         return self._in_unit(answer, name, "length")
 
     def _in_unit(self, answer: str | None, name: str, *kinds: str) -> dict[str, Any]:
@@ -405,10 +438,33 @@ class ColumnRoles:
                 name = picked
             self._deviation(name, actual, nominal)
             return
-        if actual and nominal:
-            name, of = actual[0], nominal[0]
-            unit = {} if self.units.get(name) or self.units.get(of) else self._length(of)
-            self._take(name, "reading_um", f"actual minus nominal: less {of!r}", minus=of, **unit)
+        if actual and nominal and (pair := self._pair(actual, nominal)):
+            name, of = pair
+            self._take(name, "reading_um", f"actual minus nominal: less {of!r}", minus=of, **self._two_units(name, of))
+
+    def _pair(self, actual: Sequence[str], nominal: Sequence[str]) -> tuple[str, str] | None:
+        """An actual position and the nominal one that it belongs to; asks where several move."""
+        letters = [(a, n) for a in actual for n in nominal if axis_letter(a) == axis_letter(n)]
+        pairs = [(a, n) for a, n in letters if self._follows(a, n)]
+        pairs = pairs or [(a, n) for a in actual for n in nominal if self._follows(a, n)]
+        if len({a for a, _ in pairs}) > 1:
+            name = self.ask("reading", "Which column is the reading?", tuple(dict.fromkeys(a for a, _ in pairs)), None)
+            return next(((a, n) for a, n in pairs if a == name), None)
+        return (pairs or letters or [(actual[0], nominal[0])])[0]
+
+    def _two_units(self, name: str, of: str) -> dict[str, Any]:
+        """`unit`, `scale` and `minus_unit` of an actual position less a nominal one, where the file lacks them."""
+        less = {"unit": self.units[of]} if self.units.get(of) else self._length(of)
+        alike = any(_spread(v - w) < SMALL * _spread(w) for v, w in self._pairs(name, of)[-1:])
+        usual = f"{less['scale']} {less['unit']}" if "scale" in less else less.get("unit")
+        own = {"unit": self.units[name]} if self.units.get(name) else self._length(name, usual if alike else None)
+        if not (own and less):
+            return {}
+        if own.get("scale") != less.get("scale"):
+            raise MeasurementError(f"{name!r} and {of!r} are counts of different size: convert one of them in the file")
+        unit = {} if self.table.units.get(name) else own
+        known = self.table.units.get(of) or (unit and unit["unit"] == less["unit"])
+        return unit | ({} if known else {"minus_unit": less["unit"]})
 
     def _deviation(self, name: str, actual: Sequence[str], nominal: Sequence[str]) -> None:
         keys = {} if self.units.get(name) else self._unit_of_reading(name)
@@ -418,6 +474,8 @@ class ColumnRoles:
             return
         target = "reading_urad" if UNITS[unit].kind == "angle" else "reading_um"
         sign, why = self._sign(name, actual, nominal, unit, keys.get("scale", 1.0))
+        if sign is None and (sign := difference(name) or None):
+            why = f"the reading: {MEANS[sign]}, as its name says"
         if sign is None:
             answer = self.ask(
                 "sign", "Is the reading actual minus nominal (+1) or nominal minus actual (-1)?", ("+1", "-1"), "+1"
@@ -447,8 +505,7 @@ class ColumnRoles:
         for sign in (1, -1):
             off = np.abs(sign * reading - difference)
             if np.nanmax(off, initial=0.0) <= 1.0 and np.nanmax(np.abs(reading), initial=0.0) > 3.0:
-                which = "actual minus nominal" if sign > 0 else "nominal minus actual, turned round"
-                return sign, f"the reading: {which}, as the other columns show"
+                return sign, f"the reading: {MEANS[sign]}, as the other columns show"
         return None, ""
 
     def _tool_tip(self, deviations: Sequence[str], head: dict[str, Any]) -> bool:
@@ -531,6 +588,12 @@ class ColumnRoles:
             return {}
         self.guesses.append(Guess("rows.require", [clock], f"{counted(without, 'line')} without a time: no row"))
         return {"require": [clock]}
+
+
+def _spread(values: Floats) -> float:
+    """Range of the values without the extreme twentieth at either end."""
+    low, high = np.percentile(values, (5.0, 95.0)) if len(values) else (0.0, 0.0)
+    return float(high - low)
 
 
 def _filled(values: NDArray[Any]) -> NDArray[np.bool_]:

@@ -40,6 +40,17 @@ WORDS: Final[dict[str, frozenset[str]]] = {
             "setpoint",
             "ziel",
             "consigne",
+            "consigna",
+            "nom",
+            "tgt",
+            "programmed",
+            "theoretical",
+            "théorique",
+            "nominale",
+            "cible",
+            "objetivo",
+            "teórico",
+            "teorico",
             "pos",
             "position",
         }
@@ -56,7 +67,16 @@ WORDS: Final[dict[str, frozenset[str]]] = {
             "gemessen",
             "messwert",
             "laser",
+            "meas",
             "mesure",
+            "mesuré",
+            "mesurée",
+            "réel",
+            "réelle",
+            "real",
+            "medido",
+            "misurato",
+            "reale",
         }
     ),
     "deviation": frozenset(
@@ -102,6 +122,11 @@ PLACES: Final = {
     "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale", "kühlmittel": "coolant",
 }  # fmt: skip
 PLACE_WORDS: Final = PLACES.keys() | set(PLACES.values())
+MINUS: Final = frozenset("-–−‐‑‒—﹣－") | {"minus", "less", "moins", "menos", "meno"}
+AGAINST: Final = frozenset({"vs", "versus", "gegen", "/"})
+ENDS: Final = frozenset("=:,;")
+LETTERS: Final = {"a": 1, "m": 1, "i": 1, "t": -1, "n": -1, "s": -1}
+"""Short for actual, measured, Ist; target, nominal, Soll."""
 # Letters with other common meanings: units only in brackets.
 NOT_BARE: Final = frozenset({"f", "d", "t", "g", "1", "'", '"', "in", "h"})
 
@@ -124,6 +149,44 @@ def is_nominal(name: str) -> bool:
     words = words_of(name)
     known = WORDS["nominal"] | {"axis", "achse", "x", "y", "z", "u", "v", "w"}
     return bool(words) and all(w in known for w in words)
+
+
+def difference(name: str) -> int | None:
+    """Whether the name is a difference of an actual and a nominal value, and its order.
+
+    Returns:
+        +1: actual minus nominal (`Ist-Soll`); -1: nominal minus actual; 0: the name does not tell the order
+        (`Actual vs Target`, and `Soll-Ist-Abweichung`, which means either); None: no difference.
+    """
+    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
+    words = [w.lower() for w in re.findall(r"[^\W\d_]+|[^\w\s]", apart)]
+    for i, mark in enumerate(words):
+        if mark not in MINUS | AGAINST:
+            continue
+        before, after = list(reversed(words[:i])), words[i + 1 :]
+        if (
+            has(name, "deviation")
+            and LETTERS.get(before[0] if before else "", 0) * LETTERS.get("".join(after[:1]), 0) < 0
+        ):
+            sides = LETTERS[before[0]], LETTERS[after[0]]
+        else:
+            sides = _side(before), _side(after)
+        if sides[0] * sides[1] < 0:
+            compound = sides[0] < 0 and any(w in WORDS["deviation"] or w == "vergleich" for w in after)
+            return 0 if mark in AGAINST or compound else sides[0]
+    return None
+
+
+def _side(words: list[str]) -> int:
+    """+1 where the first word with a role is an actual value, -1 where it is a nominal one, 0 where there is none."""
+    for word in words:
+        if word in ENDS:
+            break
+        if word in WORDS["actual"]:
+            return 1
+        if word in WORDS["nominal"] - {"pos", "position"}:
+            return -1
+    return 0
 
 
 def axis_letter(name: str) -> str:

@@ -1,0 +1,172 @@
+"""Columns that hold a deviation, or the actual position that it follows from.
+
+Oracles: deviations in µm chosen here, written in the form, unit and order that the header says.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtec.errors import MeasurementError
+from rtec.machine import load_machine
+from rtec.metrology.importing import Imported, ImportProposal, import_table, propose
+from rtec.metrology.importing.words import difference
+
+MACHINE = load_machine(Path(__file__).parents[2] / "configs" / "machines" / "turning-centre.toml")
+X = np.concatenate([np.arange(5.0, 200.0, 13.0), np.arange(5.0, 200.0, 13.0)[::-1]])
+DEVIATION_UM = np.round(0.014 * X + np.where(np.arange(len(X)) < len(X) / 2, 2.0, -2.0), 3)
+ANSWERS = {"axis": "X", "instrument": "laser_linear"}
+
+
+def table(folder: Path, columns: Mapping[str, Sequence[float] | np.ndarray]) -> Path:
+    path = folder / "foreign.csv"
+    lines = [";".join(columns), *(";".join(f"{v:.7f}" for v in row) for row in zip(*columns.values(), strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def proposed(path: Path, **more: str) -> ImportProposal:
+    """The proposal, with the answers that it asks for."""
+    known = {q.key for q in propose(path, MACHINE).questions}
+    return propose(path, MACHINE, {}, {k: v for k, v in (ANSWERS | more).items() if k in known or k in more})
+
+
+def imported(path: Path, **more: str) -> Imported:
+    return import_table(path, proposed(path, **more).import_map())
+
+
+@pytest.mark.parametrize("position", ["X [mm]", "Soll X [mm]", "X pos mm", "Position [mm]", "Target [mm]"])
+@pytest.mark.parametrize(
+    ("name", "sign", "per_um"),
+    [
+        ("Actual - Target [um]", 1, 1.0),
+        ("Actual-Target [mm]", 1, 1e-3),
+        ("Actual - Target (um)", 1, 1.0),
+        ("Target - Actual (um)", -1, 1.0),
+        ("Target–Actual [µm]", -1, 1.0),
+        ("Ist−Soll [µm]", 1, 1.0),
+        ("Soll-Ist [µm]", -1, 1.0),
+        ("Ist-Position - Soll-Position [µm]", 1, 1.0),
+        ("Sollwert minus Istwert [mm]", -1, 1e-3),
+        ("X Actual - X Target [mm]", 1, 1e-3),
+        ("ActMinusNom_um", 1, 1.0),
+        ("Error (measured-nominal) [um]", 1, 1.0),
+        ("Err = meas - nom [um]", 1, 1.0),
+        ("Err = nom - meas [um]", -1, 1.0),
+        ("Deviation (A-T) [um]", 1, 1.0),
+        ("Deviation (T - A) [um]", -1, 1.0),
+        ("Mesuré − Consigne [µm]", 1, 1.0),
+        ("Consigne moins mesure [µm]", -1, 1.0),
+        ("Medido - Nominal [um]", 1, 1.0),
+        ("Misurato – Nominale [um]", 1, 1.0),
+    ],
+)
+def test_a_difference_is_a_deviation_and_its_order_is_the_sign(
+    tmp_path: Path, position: str, name: str, sign: int, per_um: float
+) -> None:
+    path = table(tmp_path, {position: X, name: sign * per_um * DEVIATION_UM})
+    assert "sign" not in {q.key for q in proposed(path).questions}
+    done = imported(path)
+    np.testing.assert_allclose(done.columns["reading_um"], DEVIATION_UM, atol=1e-3)
+    np.testing.assert_array_equal(done.columns["x_mm"], X)
+
+
+@pytest.mark.parametrize(
+    "name", ["Actual vs Target [um]", "Target vs. Actual [um]", "Soll-Ist-Abweichung [µm]", "Soll/Ist [µm]"]
+)
+def test_a_difference_without_an_order_is_asked(tmp_path: Path, name: str) -> None:
+    path = table(tmp_path, {"X [mm]": X, name: DEVIATION_UM})
+    assert "sign" in {q.key for q in proposed(path).questions}
+    np.testing.assert_allclose(imported(path, sign="-1").columns["reading_um"], -DEVIATION_UM, atol=1e-6)
+
+
+def test_what_only_looks_like_a_difference() -> None:
+    names = (
+        "Ist-Position [mm]",
+        "X-Ist",
+        "Soll-Position",
+        "Ist X",
+        "Weg/mm",
+        "T-Nut [°C]",
+        "Position-Actual",
+        "Laser-X",
+    )
+    assert [n for n in names if difference(n) is not None] == []
+
+
+@pytest.mark.parametrize("name", ["Messwert [mm]", "Laser [mm]", "Actual [mm]"])
+def test_an_actual_value_far_below_the_travel_is_a_deviation(tmp_path: Path, name: str) -> None:
+    path = table(tmp_path, {"Soll X [mm]": X, name: 1e-3 * DEVIATION_UM})
+    np.testing.assert_allclose(imported(path).columns["reading_um"], DEVIATION_UM, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "actual", "per_mm"),
+    [
+        ("Soll [mm]", "Ist [mm]", (1.0, 1.0)),
+        ("Soll [mm]", "Ist [µm]", (1.0, 1e3)),
+        ("Soll [µm]", "Ist [mm]", (1e3, 1.0)),
+        ("Soll mm", "Ist [µm]", (1.0, 1e3)),
+        ("Soll [µm]", "Ist mm", (1e3, 1.0)),
+        ("Soll mm", "Ist um", (1.0, 1e3)),
+        ("Soll mm", "Ist mm", (1.0, 1.0)),
+        ("Soll", "Ist [mm]", (1.0, 1.0)),
+        ("Soll [inch]", "Ist [mm]", (1.0 / 25.4, 1.0)),
+        ("Soll", "Ist", (1.0, 1.0)),
+        ("Soll [mm]", "Ist", (1.0, 1.0)),
+    ],
+)
+def test_columns_of_two_units_are_converted_before_one_is_subtracted(
+    tmp_path: Path, nominal: str, actual: str, per_mm: tuple[float, float]
+) -> None:
+    path = table(tmp_path, {nominal: per_mm[0] * X, actual: per_mm[1] * (X + 1e-3 * DEVIATION_UM)})
+    np.testing.assert_allclose(imported(path).columns["reading_um"], DEVIATION_UM, atol=5e-3)
+
+
+def test_an_actual_position_in_a_unit_that_nobody_tells_is_asked(tmp_path: Path) -> None:
+    path = table(tmp_path, {"Soll [mm]": X, "Ist": (X + 1e-3 * DEVIATION_UM) * 1e3})
+    assert [q.key for q in proposed(path).open] == ["unit of Ist"]
+    np.testing.assert_allclose(imported(path, **{"unit of Ist": "um"}).columns["reading_um"], DEVIATION_UM, atol=5e-3)
+
+
+def test_each_actual_position_belongs_to_the_nominal_one_of_its_axis(tmp_path: Path) -> None:
+    """Z stands still at 40 mm."""
+    still = np.full(len(X), 40.0)
+    columns = {"Soll Z [mm]": still, "Soll X [mm]": X, "Ist X [mm]": X + 1e-3 * DEVIATION_UM, "Ist Z [mm]": still}
+    np.testing.assert_allclose(imported(table(tmp_path, columns)).columns["reading_um"], DEVIATION_UM, atol=1e-3)
+
+
+def a_map(path: Path, more: str) -> ImportProposal:
+    """A proposal with a column of the map given."""
+    head = '[measurement]\ninstrument = "laser_linear"\naxis = "X"\nmachine = "m"\n[time]\nstep_s = 1.0\n'
+    return propose(path, None, tomllib.loads(head + more), {})
+
+
+def test_a_map_tells_the_unit_of_what_it_subtracts(tmp_path: Path) -> None:
+    path = table(tmp_path, {"a [um]": (X + 1e-3 * DEVIATION_UM) * 1e3, "b": X})
+    given = '[column.x_mm]\nfrom = "b"\nunit = "mm"\n[column.reading_um]\nfrom = "a [um]"\nminus = "b"\n'
+    with pytest.raises(MeasurementError, match=r"nobody tells the unit of 'b'; say minus_unit"):
+        import_table(path, a_map(path, given).import_map())
+    done = import_table(path, a_map(path, given + 'minus_unit = "mm"\n').import_map())
+    np.testing.assert_allclose(done.columns["reading_um"], DEVIATION_UM, atol=5e-3)
+
+
+@pytest.mark.parametrize(("minus", "unit"), [("", "mm"), ('minus = "c [mm]"\n', "um")])
+def test_readings_that_are_positions_are_refused(tmp_path: Path, minus: str, unit: str) -> None:
+    """A position as the reading, and a deviation less a position."""
+    read = X if unit == "mm" else DEVIATION_UM
+    path = table(tmp_path, {f"b [{unit}]": read, "c [mm]": X})
+    given = '[column.x_mm]\nfrom = "c [mm]"\n[column.reading_um]\nfrom = "b [' + unit + ']"\n' + minus
+    with pytest.raises(MeasurementError, match=r"varies by .* over a travel of .*: these are positions, no deviations"):
+        import_table(path, a_map(path, given).import_map())
+
+
+def test_readings_beyond_what_machines_err_are_doubted(tmp_path: Path) -> None:
+    """The deviations are in µm, and the header says mm."""
+    done = imported(table(tmp_path, {"X [mm]": X, "Deviation [mm]": DEVIATION_UM}))
+    assert any(n.startswith("doubtful: reading_um varies by") for n in done.notes)
+    fine = imported(table(tmp_path, {"X [mm]": X, "Deviation [um]": DEVIATION_UM}))
+    assert not any(n.startswith("doubtful") for n in fine.notes)
