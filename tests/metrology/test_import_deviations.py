@@ -170,3 +170,65 @@ def test_readings_beyond_what_machines_err_are_doubted(tmp_path: Path) -> None:
     assert any(n.startswith("doubtful: reading_um varies by") for n in done.notes)
     fine = imported(table(tmp_path, {"X [mm]": X, "Deviation [um]": DEVIATION_UM}))
     assert not any(n.startswith("doubtful") for n in fine.notes)
+
+
+# --- directions
+
+WAY = np.where(np.arange(len(X)) < len(X) / 2, 1, -1)
+
+
+def with_words(folder: Path, name: str, words: Mapping[int, str]) -> Path:
+    path = folder / "foreign.csv"
+    rows = [f"{x};{words[w]};{d}" for x, w, d in zip(X, WAY.tolist(), DEVIATION_UM, strict=True)]
+    path.write_text("\n".join([f"X [mm];{name};Abweichung [µm]", *rows]), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "dir_x", "Richtung X", "Dir X", "Direction X", "Sens X", "X dir", "dirX", "Approach", "Anfahrrichtung",
+        "Richtung", "Run direction", "Sentido",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("words", [("1", "-1"), ("+1", "-1"), ("+", "-"), ("fwd", "rev")])
+def test_a_direction_is_no_position(tmp_path: Path, name: str, words: tuple[str, str]) -> None:
+    done = imported(with_words(tmp_path, name, {1: words[0], -1: words[1]}))
+    np.testing.assert_array_equal(done.columns["dir_x"], WAY)
+    np.testing.assert_array_equal(done.columns["x_mm"], X)
+    np.testing.assert_array_equal(done.columns["reading_um"], DEVIATION_UM)
+
+
+@pytest.mark.parametrize(
+    ("forward", "back"),
+    [
+        ("vor", "zurück"), ("up", "down"), ("pos", "neg"), ("+", "−"), ("↑", "↓"), ("X+", "X-"), ("(+)", "(-)"),
+        ("Positive", "Negative"), ("aller", "retour"), ("Forward", "Reverse"), ("1", "0"), ("1", "2"), ("2", "1"),
+        ("0", "1"),
+    ],
+)  # fmt: skip
+def test_words_and_numbers_of_directions(tmp_path: Path, forward: str, back: str) -> None:
+    done = imported(with_words(tmp_path, "Approach", {1: forward, -1: back}))
+    np.testing.assert_array_equal(done.columns["dir_x"], WAY)
+
+
+def test_numbers_of_directions_that_the_positions_do_not_show_are_asked(tmp_path: Path) -> None:
+    """Each target is approached from both sides, the first one in turn; the positions are those of the targets."""
+    path = tmp_path / "foreign.csv"
+    rows = [f"{x};{w};{0.01 * x + w}" for x in range(5, 200, 13) for w in (x % 2, 1 - x % 2)]
+    path.write_text("\n".join(["X [mm];Approach;Abweichung [µm]", *rows]))
+    asked = [q for q in proposed(path).open if q.key.startswith("direction of")]
+    assert [q.choices for q in asked] == [("1", "0")]
+    done = imported(path, **{"direction of Approach": "1"})
+    np.testing.assert_array_equal(
+        done.columns["dir_x"], [s for x in range(5, 200, 13) for s in (1, -1)[:: 1 if x % 2 else -1]]
+    )
+
+
+def test_a_direction_of_another_axis_is_that_axis_own(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.csv"
+    rows = [f"{x};{w};1;{d}" for x, w, d in zip(X, WAY, DEVIATION_UM, strict=True)]
+    path.write_text("\n".join(["X [mm];dir_x;dir_z;Abweichung [µm]", *rows]), encoding="utf-8")
+    done = imported(path)
+    np.testing.assert_array_equal(done.columns["dir_x"], WAY)
+    np.testing.assert_array_equal(done.columns["dir_z"], 1.0)

@@ -13,10 +13,10 @@ from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.importing.words import (
-    DIRECTIONS,
     axis_letter,
     bare_unit,
     difference,
+    direction_meant,
     has,
     is_nominal,
     is_place,
@@ -44,6 +44,8 @@ FEW_LINES = 2
 """Up to this many lines without a time count as remarks above or below the rows."""
 SMALL = 0.1
 """Deviations are below this share of the travel; an actual position differs from its nominal one by less."""
+CLEAR = 0.9
+"""Share of the motions that must agree with the meaning of a number."""
 MEANS = {1: "actual minus nominal", -1: "nominal minus actual, turned round"}
 LEAVE = "leave out"
 LENGTH_HINT = "um, mm, inch; for counts the size of one, such as 2.5 um"
@@ -233,7 +235,7 @@ class ColumnRoles:
     def _run_column(self) -> dict[str, Any]:
         for name in self._free():
             values = self._values(name)
-            if has(name, "run") and np.array_equal(values, np.round(values)):
+            if has(name, "run") and np.array_equal(values, np.round(values)) and not self._is_direction(name):
                 self.use[name] = ("run", "numbers of runs, by its name")
                 return {"column": name}
         return {}
@@ -294,7 +296,7 @@ class ColumnRoles:
 
     def _measured(self, head: dict[str, Any]) -> dict[str, Any]:
         """`[measurement]`, with the columns of positions and readings."""
-        free = [n for n in self._free() if len(self._finite(n))]
+        free = [n for n in self._free() if len(self._finite(n)) and not self._is_direction(n)]
         readings = [n for n in self.columns if n.startswith("reading")]
         deviations = [n for n in free if self._is_reading(n)]
         rest = [n for n in free if n not in deviations]
@@ -355,7 +357,7 @@ class ColumnRoles:
 
     def _is_position(self, name: str) -> bool:
         unit = self.units.get(name, "")
-        if unit and UNITS[unit].kind != "length":
+        if (unit and UNITS[unit].kind != "length") or self._is_direction(name):
             return False
         return bool(axis_letter(name)) or is_nominal(name) or unit in ("mm", "m", "inch", "cm")
 
@@ -546,19 +548,55 @@ class ColumnRoles:
 
     # --- rows
 
+    def _is_direction(self, name: str) -> bool:
+        """Whether a column of numbers is a direction: by its name, and -1 and +1 or two whole numbers."""
+        values = np.unique(self._finite(name))
+        known = set(values) <= {-1.0, 0.0, 1.0} or (len(values) == 2 and np.array_equal(values, np.round(values)))
+        return has(name, "direction") and bool(len(values)) and known and not self.units.get(name)
+
     def _directions(self, head: Mapping[str, Any]) -> None:
-        axis = head.get("axis")
-        if not axis:
-            return
-        for name in self._free(texts=True):
-            words = {str(v) for v in self.table.columns[name] if v}
-            meaning = {w: DIRECTIONS[w.lower()] for w in sorted(words) if w.lower() in DIRECTIONS}
-            if has(name, "direction") and words and len(meaning) == len(words):
-                self._take(name, f"dir_{axis.lower()}", "direction, by its words", unit="1", values=meaning)
-        for name in self._free():
-            values = self._finite(name)
-            if has(name, "direction") and len(values) and set(np.unique(values)) <= {-1.0, 0.0, 1.0}:
-                self._take(name, f"dir_{axis.lower()}", "direction, -1 or +1", unit="1")
+        """Directions of the axes that their names say, else of the measured axis."""
+        axes = self.machine.axis_names if self.machine else ()
+        for name in [*self._free(texts=True), *self._free()]:
+            axis = axis_letter(name) or head.get("axis")
+            target = f"dir_{str(axis).lower()}"
+            if not axis or not has(name, "direction") or (axes and axis not in axes):
+                continue
+            numbers = self.table.columns[name].dtype != np.object_
+            keys, why = self._coded(name, target) if numbers else (self._worded(name), "direction, by its words")
+            if target in self.columns and keys is not None:
+                self.use[name] = ("", f"a second direction of {axis}")
+            elif keys is not None:
+                self._take(name, target, why, unit="1", **keys)
+
+    def _worded(self, name: str) -> dict[str, Any] | None:
+        words = {str(v) for v in self.table.columns[name] if v}
+        meaning = {w: sign for w in sorted(words) if (sign := direction_meant(w))}
+        return {"values": meaning} if words and len(meaning) == len(words) else None
+
+    def _coded(self, name: str, target: str) -> tuple[dict[str, Any] | None, str]:
+        """Numbers other than -1 and +1: which of the two is forward is as the positions show, else asked."""
+        if not self._is_direction(name):
+            return None, ""
+        values = self._values(name)
+        place = self.columns.get(f"{target.removeprefix('dir_')}_mm", {}).get("from")
+        at = self._values(place) if place in self.table.columns else np.zeros(len(values))
+        codes = np.unique(values[np.isfinite(values)])
+        first = np.isfinite(values) & (np.cumsum(np.nan_to_num(values) != 0.0) == 0)
+        before = not np.any((values == 0.0) & ~first) and not np.ptp(at[first]) if first.any() else 0.0 not in codes
+        if set(codes) <= {-1.0, 0.0, 1.0} and (-1.0 in codes or before):
+            return {}, "direction, -1 or +1"
+        low, high = codes.tolist()
+        forward, why = _is_forward(values == high, at), f"direction: {high:g} or {low:g}, as the positions show"
+        if forward is None:
+            text = f"Which number in {name!r} is the motion in the positive direction?"
+            choices = (f"{high:g}", f"{low:g}")
+            answer = self.ask(f"direction of {name}", text, choices, None)
+            if answer is None:
+                return None, ""
+            forward, why = answer == choices[0], "direction"
+        sign = 1 if forward else -1
+        return {"scale": 2.0 / (high - low), "sign": sign, "offset": -sign * (high + low) / (high - low)}, why
 
     def _runs(self, head: Mapping[str, Any]) -> dict[str, Any]:
         """Every reversal of the axis begins a run, where it reverses."""
@@ -594,6 +632,14 @@ def _spread(values: Floats) -> float:
     """Range of the values without the extreme twentieth at either end."""
     low, high = np.percentile(values, (5.0, 95.0)) if len(values) else (0.0, 0.0)
     return float(high - low)
+
+
+def _is_forward(marked: NDArray[np.bool_], at_mm: Floats) -> bool | None:
+    """Whether an axis mostly moves forward to the marked rows and back to the others; None where it does not show."""
+    way = np.sign(np.diff(at_mm))
+    same = np.where(marked[1:], way, -way)
+    forward, back = int((same > 0).sum()), int((same < 0).sum())
+    return forward > back if max(forward, back) > CLEAR * (forward + back) else None
 
 
 def _filled(values: NDArray[Any]) -> NDArray[np.bool_]:

@@ -26,7 +26,24 @@ WORDS: Final[dict[str, frozenset[str]]] = {
     ),
     "date": frozenset({"date", "datum", "day", "tag", "jour", "fecha"}),
     "run": frozenset({"run", "lauf", "cycle", "zyklus", "pass", "durchgang", "durchlauf", "messreihe", "series"}),
-    "direction": frozenset({"direction", "dir", "richtung", "sense", "fahrtrichtung"}),
+    "direction": frozenset(
+        {
+            "direction",
+            "dir",
+            "richtung",
+            "sense",
+            "fahrtrichtung",
+            "verfahrrichtung",
+            "anfahrrichtung",
+            "anfahrt",
+            "approach",
+            "approche",
+            "sens",
+            "sentido",
+            "senso",
+            "direzione",
+        }
+    ),
     "nominal": frozenset(
         {
             "soll",
@@ -113,7 +130,11 @@ WORDS: Final[dict[str, frozenset[str]]] = {
 }
 DIRECTIONS: Final = {
     "+": 1, "-": -1, "fwd": 1, "bwd": -1, "forward": 1, "backward": -1, "back": -1, "vor": 1, "zurück": -1, "rück": -1,
-    "up": 1, "down": -1, "pos": 1, "neg": -1, "hin": 1, "her": -1, "f": 1, "b": -1,
+    "up": 1, "down": -1, "pos": 1, "neg": -1, "hin": 1, "her": -1, "f": 1, "b": -1, "rev": -1, "reverse": -1, "r": -1,
+    "forwards": 1, "backwards": -1, "bkwd": -1, "rückwärts": -1, "vorwärts": 1, "zurueck": -1, "rueck": -1,
+    "positive": 1, "negative": -1, "positiv": 1, "negativ": -1, "plus": 1, "minus": -1, "auf": 1, "ab": -1,
+    "aller": 1, "retour": -1, "avant": 1, "arrière": -1, "ida": 1, "vuelta": -1, "andata": 1, "ritorno": -1,
+    "increasing": 1, "decreasing": -1, "inc": 1, "dec": -1, "↑": 1, "↓": -1, "→": 1, "←": -1, "−": -1, "–": -1,
 }  # fmt: skip
 PLACES: Final = {
     "mutter": "nut", "bett": "bed", "luft": "air", "umgebung": "air", "raum": "air", "ambient": "air", "room": "air",
@@ -136,6 +157,12 @@ def words_of(name: str) -> list[str]:
     bare = re.sub(r"([\[(][^\])]*[\])]|\sin\s+\S+)\s*$", "", name)
     apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
     return [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
+
+
+def direction_meant(word: str) -> int | None:
+    """-1 or +1 for a word such as `vor`, `(+)` or `X-`; None where it is no direction."""
+    bare = word.lower().strip(" ()[].")
+    return DIRECTIONS.get(bare) or DIRECTIONS.get(re.sub(r"^[xyzuvw] ?|[xyzuvw]$", "", bare))
 
 
 def has(name: str, role: str) -> bool:
