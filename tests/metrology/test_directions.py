@@ -141,3 +141,42 @@ def test_numbers_as_large_as_a_file_can_hold_say_nothing(tmp_path: Path) -> None
     """Oracle: numpy's warnings are errors here."""
     m = measured(tmp_path, [0.0, 1.7e308, -1.7e308, 1.0, 2.0], ",feed_mm_min", ",1e308")
     assert not {"v_x", "d_x"} & set(m.channels)
+
+
+def logged(folder: Path, rows: list[str]) -> Measurement:
+    """As `written`, of rows with their own reading or none."""
+    (folder / "laser-x.csv").write_text("run,time_s,x_mm,z_mm,feed_mm_min,reading_um\n" + "\n".join(rows) + "\n")
+    (folder / "laser-x.toml").write_text(TOML)
+    return load_measurement(folder / "laser-x.csv", machine())
+
+
+@pytest.mark.parametrize("z_moves", [False, True])
+@pytest.mark.parametrize("lost", [(), (3, 17)])
+def test_a_log_between_the_cycles_hides_no_overrun(tmp_path: Path, lost: tuple[int, ...], z_moves: bool) -> None:
+    """Nine rows at the first target after each cycle, while Z may be parked; two readings are lost, one at an end."""
+    rows, t = [], 0.0
+    for i, x in enumerate(THERE_AND_BACK):
+        rows.append(f"{1 + i // 12},{t},{x},100,3000,{'' if i in lost else 0.1}")
+        t += 2.5
+        if i % 12 == 11:
+            rows += [f"{1 + i // 12},{t + 60 * k},{x},{100 + 50 * z_moves},0," for k in range(9)]
+            t += 540.0
+    m = logged(tmp_path, rows)
+    read = np.array([i for i, row in enumerate(rows) if not (row.endswith(",0,") and i % 21 >= 12)])
+    assert m.channels["d_x"][read].tolist() == walked(THERE_AND_BACK, 5.0)
+    assert set(np.delete(m.channels["d_x"], read)) == {-1.0}
+    assert "no column dir_x: the axis is taken to go past both ends of each way" in m.notes
+
+
+def test_a_log_between_the_runs_hides_no_feed(tmp_path: Path) -> None:
+    """600 mm/min, read each second on the way; then nine rows at rest, without a reading."""
+    rows, t = [], 0.0
+    for run in (1, 2, 3):
+        way = [10.0 * k for k in range(16)][:: 1 if run % 2 else -1]
+        rows += [f"{run},{t + k},{x},100,600,0.1" for k, x in enumerate(way)]
+        rows += [f"{run},{t + 15 + 60 * k},{way[-1]},100,0," for k in range(1, 10)]
+        t += 900.0
+    m = logged(tmp_path, rows)
+    v = m.channels["v_x"].reshape(3, 25)
+    np.testing.assert_array_equal(v[:, :16], np.array([[10.0], [-10.0], [10.0]]) * np.ones(16))
+    assert not v[:, 16:].any()

@@ -113,6 +113,7 @@ def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 LIKE, MOST = 0.05, 0.8
 """An axis moved at its feed if its speed agrees within the first share, in the second share of readings."""
 LEAST = 3
@@ -121,16 +122,43 @@ LEAST = 3
 
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
 def on_the_run(
-    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, time_s: Floats
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, time_s: Floats, read: Bools
 ) -> dict[str, Floats]:
     """Velocity, by channel, of an axis that was read in motion: its positions and times agree with its feed.
 
     An axis that stops at its targets takes longer from one to the next than at its feed. Another axis may have moved
-    between the runs.
+    between the runs. In a log that goes on between the runs, the rows with a reading decide.
+
+    Args:
+        instrument, machine: what was measured with, and on.
+        channels, run, time_s: the table, (n,) each.
+        read: whether each row has a reading, (n,).
 
     Returns:
-        mm/s with the sign of the motion, (n,); empty where the feed was not recorded or a velocity was.
+        mm/s with the sign of the motion, 0 in rows that were left out, (n,); empty where the feed was not recorded or a
+        velocity was.
     """
+    found = _on_the_run(instrument, machine, channels, run, time_s)
+    if found or read.all():
+        return found
+    part = _on_the_run(instrument, machine, _rows(channels, read), run[read], time_s[read])
+    return {channel: _put(values, read) for channel, values in part.items()}
+
+
+def _rows(channels: Mapping[str, Floats], read: Bools) -> dict[str, Floats]:
+    return {channel: values[read] for channel, values in channels.items()}
+
+
+def _put(values: Floats, read: Bools) -> Floats:
+    """Values of the marked rows, and 0 in the others."""
+    out = np.zeros(len(read))
+    out[read] = values
+    return out
+
+
+def _on_the_run(
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, time_s: Floats
+) -> dict[str, Floats]:
     moving = _moving(machine, channels, run)
     if not instrument.at_rest or "feed_mm_min" not in channels or len(moving) != 1:
         return {}
@@ -154,6 +182,8 @@ def on_the_run(
 
 def _moving(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> list[Axis]:
     """Axes that move within a run."""
+    if not len(run):
+        return []
     order = np.argsort(run, kind="stable")
     first = np.flatnonzero(np.diff(run[order], prepend=run[order[0]] - 1))
 
@@ -165,7 +195,7 @@ def _moving(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> list
 
 
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
-def by_velocity(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> dict[str, Floats]:
+def by_velocity(machine: Machine, channels: Mapping[str, Floats], run: Ints, read: Bools) -> dict[str, Floats]:
     """Directions by the sign of the recorded velocity, by direction channel, of the one axis that moves within runs.
 
     A reading at velocity zero has the direction of `approached`, else of the last motion. A velocity without a sign, or
@@ -174,7 +204,7 @@ def by_velocity(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> 
     Returns:
         -1 or +1 for each reading, 0 before the first motion, (n,), of the axis if it has no direction of its own.
     """
-    moving = _moving(machine, channels, run)
+    moving = _moving(machine, _rows(channels, read), run[read])
     if len(moving) != 1 or moving[0].direction_channel in channels or moving[0].velocity_channel not in channels:
         return {}
     axis = moving[0]
@@ -183,7 +213,7 @@ def by_velocity(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> 
     agrees = (np.where(way[1:] == way[:-1], way[1:], 0.0) * sign[1:-1]).astype(np.int64)
     if not sign.any() or np.count_nonzero(agrees > 0) < MOST * np.count_nonzero(agrees):
         return {}
-    at_rest = _approach(axis, position)
+    at_rest = _approach(axis, position, read)
     last = _last(axis, position, sign) if at_rest is None else at_rest
     return {axis.direction_channel: np.where(sign == 0.0, last, sign)}
 
@@ -201,30 +231,42 @@ def _last(axis: Axis, position_mm: Floats, sign: Floats) -> Floats:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
-def approached(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> dict[str, Floats]:
+def approached(machine: Machine, channels: Mapping[str, Floats], run: Ints, read: Bools) -> dict[str, Floats]:
     """Directions of approach of an axis that is read at targets, by direction channel.
 
     Between two readings of the target at the end of a way the axis has gone past it and returned (ISO 230-2). An axis
     that jumps back to repeat the same way has gone past the first target. The positions alone show neither: by them the
     axis has not moved, or moved the other way. Both cases are recognised where each end is read exactly twice as often
     as a target between them, or where every way has the same direction. Any other order gives no result. Another axis
-    may have moved between the runs.
+    may have moved between the runs. A log that goes on between the runs has further rows at an end, without a reading:
+    where they hide the order, the rows with a reading decide.
 
     Returns:
         -1 or +1 for each reading, (n,), of the one axis that moves within runs, if it has no direction of its own and
         no velocity but zero.
     """
-    moving = _moving(machine, channels, run)
+    moving = _moving(machine, _rows(channels, read), run[read])
     if len(moving) != 1 or moving[0].direction_channel in channels:
         return {}
     axis = moving[0]
     if axis.velocity_channel in channels and channels[axis.velocity_channel].any():
         return {}
-    found = _approach(axis, channels[axis.channel])
+    found = _approach(axis, channels[axis.channel], read)
     return {} if found is None else {axis.direction_channel: found}
 
 
-def _approach(axis: Axis, position_mm: Floats) -> Floats | None:
+def _approach(axis: Axis, position_mm: Floats, read: Bools) -> Floats | None:
+    """Directions by all rows, by those without the pauses of a log, or by the read ones; a lost reading is a stop."""
+    gone = np.concatenate([[False], ~read, [False]])
+    pause = gone[1:-1] & (gone[:-2] | gone[2:])
+    for rows in (np.ones_like(read), ~pause, read):
+        found = _by_order(axis, position_mm[rows])
+        if found is not None:
+            return found if rows.all() else _last(axis, position_mm, _put(found, rows))
+    return None
+
+
+def _by_order(axis: Axis, position_mm: Floats) -> Floats | None:
     first = np.flatnonzero(np.append(True, np.abs(np.diff(position_mm)) > axis.dead_band_mm))
     count = np.diff(np.append(first, len(position_mm)))
     way = np.sign(np.diff(position_mm[first]))
@@ -294,13 +336,14 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     run = raw.columns["run"].astype(np.int64)
     channels = {columns[c]: v for c, v in raw.columns.items() if c in columns}
     written = {channel: column for column, channel in columns.items()}
-    runs = on_the_run(instrument, machine, channels, run, raw.columns["time_s"])
+    read = np.logical_or.reduce([np.isfinite(raw.columns[c]) for c in instrument.columns()])
+    runs = on_the_run(instrument, machine, channels, run, raw.columns["time_s"], read)
     notes += [
         f"no column {written[c]}: by its positions and times the axis went at its feed while it was read" for c in runs
     ]
     channels |= runs
-    channels |= by_velocity(machine, channels, run)
-    sides = approached(machine, channels, run)
+    channels |= by_velocity(machine, channels, run, read)
+    sides = approached(machine, channels, run, read)
     notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]
     return Measurement(
         name=table.stem,

@@ -579,7 +579,7 @@ class ColumnRoles:
         if not self._is_direction(name):
             return None, ""
         values = self._values(name)
-        place = self.columns.get(f"{target.removeprefix('dir_')}_mm", {}).get("from")
+        place = str(self.columns.get(f"{target.removeprefix('dir_')}_mm", {}).get("from"))
         at = self._values(place) if place in self.table.columns else np.zeros(len(values))
         codes = np.unique(values[np.isfinite(values)])
         first = np.isfinite(values) & (np.cumsum(np.nan_to_num(values) != 0.0) == 0)
