@@ -347,6 +347,7 @@ def test_isg_read_of_write_is_the_identity(tmp_path: Path, data: st.DataObject) 
         ("10.0  -0.1  1e-5", "10.0  -0.1", "line 4: has 2 values, its header 3"),
         ("10.0  -0.1  1e-5", "10.0  -0,1  1e-5", "line 4: '-0,1' is no number"),
         ("0.1 2e-5\n", "", "line 7: no rows under this header"),
+        ("Y0A C0Y", ";", "line 8: '0.1' is no argument and no error parameter"),
     ],
 )
 def test_isg_faults(tmp_path: Path, old: str, new: str, said: str) -> None:

@@ -103,8 +103,8 @@ def _blocks(text: str) -> list[list[tuple[int, list[str]]]]:
         content = line.split("//")[0].strip()
         if content.startswith("#"):
             out.append([])
-        elif cells := re.split(r"\s*[;\t]\s*|\s+", content) if content else []:
-            out[-1].append((i + 1, [c for c in cells if c]))
+        elif cells := [c for c in re.split(r"\s*[;\t]\s*|\s+", content) if c]:
+            out[-1].append((i + 1, cells))
     return [block for block in out if block]
 
 
