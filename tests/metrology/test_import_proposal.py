@@ -238,7 +238,8 @@ def test_counts_have_a_size(tmp_path: Path) -> None:
     text = "time s;mcu_pos_z;bed_t\n0;-4;20\n1;-6;20.5\n2;-9;21\n"
     answers = {"reading": "mcu_pos_z", "unit of mcu_pos_z": "2.5 um", "instrument": "tool_tip", "machine": "m"}
     p = propose(put(tmp_path, text), None, {}, answers)
-    assert p.content["column"]["reading_um"] == {"from": "mcu_pos_z", "unit": "um", "scale": 2.5}
+    assert p.content["column"]["reading_z_um"] == {"from": "mcu_pos_z", "unit": "um", "scale": 2.5}
+    assert p.content["setup"]["directions"] == ["Z"]
     assert p.content["column"]["T_bed_degc"]["from"] == "bed_t"
 
 

@@ -26,10 +26,11 @@ from rtec.metrology.importing.map import ImportMap
 from rtec.metrology.importing.roles import LEAVE, ColumnRoles
 from rtec.metrology.importing.rows import from_events
 from rtec.metrology.importing.words import has
+from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.metrology.readers import detect, read_tables
 from rtec.metrology.readers.base import ForeignTable, SourceOptions, number_or_none
-from rtec.metrology.readers.delimited import bracketed, table_of
+from rtec.metrology.readers.delimited import bracketed, table_of, unit_named
 from rtec.metrology.readers.layout import Guess, layout
 from rtec.metrology.readers.registry import READERS
 from rtec.text import clean
@@ -41,13 +42,12 @@ ODD = 0.1
 """A column counts as numeric if at most this share of its cells are no numbers."""
 NO_VALUE = "no value"
 NUMBERS: Final = re.compile(r"\[\n((?: +[-+.0-9e]+,\n)+)\]")
-NEEDED = {
-    "straightness": ("direction",),
-    "level": ("about",),
-    "squareness": ("reference_axis",),
+EXAMPLES = {
+    "probe": 'such as {z={direction="Z"}}: name and direction of each',
+    "reference_axis": "an axis of the machine",
+    "centre_mm": "such as [100, 50, 20]",
+    "origin_mm": "such as [100, 50, 20]",
 }
-"""Keys of `[setup]` that an instrument needs unless a component is named, beside its required keys."""
-EXAMPLES = {"probe": 'such as {z={direction="Z"}}: name and direction of each'}
 
 
 @dataclass(frozen=True)
@@ -260,11 +260,28 @@ def propose(
     if events is not None:
         content["events"] = events
         guesses = (*guesses, Guess("events", events["channel"], "one value a line: each channel becomes a column"))
+    head = dict(preset.get("measurement", {}))
+    given = {
+        k: v
+        for k, v in answers.items()
+        if k not in head and (k == "component" or (k == "instrument" and v in INSTRUMENTS))
+    }
+    asker.keys += given
+    preset = {**preset, "measurement": given | head}
     roles = ColumnRoles(table, machine, preset, asker.ask, is_log=events is not None or read.name == "json_lines")
     content |= roles.content()
+    measurement = content["measurement"]
+    kind = INSTRUMENTS.get(measurement.get("instrument", ""))
+    if kind is not None and kind.axis_use == "optional" and "axis" in answers and "axis" not in measurement:
+        measurement["axis"] = answers["axis"]
+        asker.keys.append("axis")
     content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker)
     content["column"] = _of_probes(content["column"], content["setup"])
-    asker.check(content["measurement"])
+    letters = [n[8].upper() for n in content["column"] if re.fullmatch(r"reading_[xyz]_um", n)]
+    if kind is INSTRUMENTS["tool_tip"] and 0 < len(letters) < 3:
+        content["setup"].setdefault("directions", letters)
+    known = {**roles.settled, **{f"setup.{k}": v for k, v in content["setup"].items()}, **measurement}
+    guesses = (*guesses, *asker.unasked(known, kind))
     if asker.assumed:
         notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asker.assumed]
         content["measurement"]["notes"] = [*content["measurement"].get("notes", ()), *notes]
@@ -418,17 +435,49 @@ class _Answers:
             if question.default is not None:
                 self.assumed.append((question, question.default))
             return question.default
-        if question.choices and given not in question.choices:
+        same = [c for c in question.choices if c.lstrip("+") == given.lstrip("+")]
+        if question.choices and not same:
             raise MeasurementError(
                 f"{self.source}: {question.key}: {given!r} is not possible{nearest(given, question.choices)}"
             )
-        return given
+        return same[0] if same else given
 
-    def check(self, known: Mapping[str, Any]) -> None:
-        """Refuse answers to unknown questions, unless they repeat what the file shows."""
+    def unasked(self, known: Mapping[str, Any], kind: type[Instrument] | None) -> list[Guess]:
+        """Conclusions on answers to questions that were not asked: they repeat the file, or do not apply.
+
+        Args:
+            known: what the file shows itself, by question.
+            kind: the instrument, if it is known.
+
+        Raises:
+            MeasurementError: an answer contradicts the file, or belongs to no question.
+        """
+        out = []
         for key, answer in self.answers.items():
-            if key not in self.keys and known.get(key) != answer:
+            if key in self.keys:
+                continue
+            if key in known:
+                if not _same(key, answer, known[key]):
+                    said = f"{self.source}: {key!r} is no question here: the file shows {str(known[key])!r}"
+                    raise MeasurementError(f"{said}; a map may say otherwise")
+                out.append(Guess(f"answer {key}", answer, "as the file shows itself"))
+            elif kind is not None and _is_of_others(key, kind):
+                out.append(Guess(f"answer {key}", answer, f"not used: {kind.name} has no such key"))
+            else:
                 raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, self.keys)}")
+        return out
+
+
+def _same(key: str, answer: str, known: Any) -> bool:
+    if key.startswith("unit of "):
+        answer = unit_named(answer)
+    return answer.lstrip("+") == str(known).lstrip("+")
+
+
+def _is_of_others(key: str, kind: type[Instrument]) -> bool:
+    """Whether a key belongs to other instruments than this one."""
+    setups = {f"setup.{name}" for k in INSTRUMENTS.values() for name in k.setup_model.model_fields}
+    return (key == "axis" and kind.axis_use == "none") or key in setups
 
 
 def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _Answers) -> dict[str, Any]:
@@ -438,18 +487,20 @@ def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _An
         return {}
     out: dict[str, Any] = {}
     direct = measurement.get("component") is not None
-    for name, info in INSTRUMENTS[instrument].setup_model.model_fields.items():
+    kind = INSTRUMENTS[instrument]
+    for name, info in kind.setup_model.model_fields.items():
         offset = name.endswith("offset_mm") and not direct
-        needed = info.is_required() or (name in NEEDED.get(instrument, ()) and not direct)
-        if name in preset.get("setup", {}) or not (needed or offset):
+        needed = info.is_required() or (name in kind.needs and not direct)
+        given = f"setup.{name}" in asker.answers
+        if name in preset.get("setup", {}) or not (needed or offset or given):
             continue
-        choices = tuple(str(c) for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a))
-        default = None if needed else str(list(info.default))
+        choices = {str(c): c for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a)}
+        default = str(list(info.default)) if offset and not needed else None
         where = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
-        text = f"{name} of the {instrument}?" if needed else where
-        answer = asker.ask(f"setup.{name}", text, choices, default, EXAMPLES.get(name, ""))
+        text = where if offset and not needed else f"{name} of the {instrument}?"
+        answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))
         if answer is not None:
-            out[name] = answer if choices else _value(answer, name, asker.source)
+            out[name] = choices[answer] if choices else _value(answer, name, asker.source)
     return out
 
 

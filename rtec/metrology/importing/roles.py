@@ -44,6 +44,8 @@ FEW_LINES = 2
 """Up to this many lines without a time count as remarks above or below the rows."""
 SMALL = 0.1
 """Deviations are below this share of the travel; an actual position differs from its nominal one by less."""
+BY_LETTER = ("tool_tip", "grid_encoder", "squareness")
+"""Instruments with a reading in each of several directions."""
 CLEAR = 0.9
 """Share of the motions that must agree with the meaning of a number."""
 MEANS = {1: "actual minus nominal", -1: "nominal minus actual, turned round"}
@@ -86,6 +88,7 @@ class ColumnRoles:
         use: column of the measurement and the reason, by column of the file.
         units: units of the columns of the file, as far as known.
         guesses: further conclusions.
+        settled: questions that the file answers itself, with the answer.
     """
 
     def __init__(
@@ -95,6 +98,7 @@ class ColumnRoles:
         self.use: dict[str, tuple[str, str]] = {}
         self.units = {n: u for n in table.columns if (u := table.units.get(n) or bare_unit(n))}
         self.guesses: list[Guess] = []
+        self.settled = {f"unit of {n}": u for n, u in self.units.items()}
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             self.use[str(column.get("from"))] = (target, "given")
@@ -276,6 +280,7 @@ class ColumnRoles:
         """The machine's sensor; "" where the column is not used, None where the question is not answered."""
         fitting = sensors_like(name, sensors)
         if len(fitting) == 1:
+            self.settled[f"sensor of {name}"] = fitting[0]
             return fitting[0]
         choices = (*(fitting or sensors), LEAVE)
         answer = self.ask(f"sensor of {name}", f"Which sensor of the machine is {name!r}?", choices, None)
@@ -296,6 +301,8 @@ class ColumnRoles:
 
     def _measured(self, head: dict[str, Any]) -> dict[str, Any]:
         """`[measurement]`, with the columns of positions and readings."""
+        if head.get("instrument") == "ball_bar":
+            self._angle()
         free = [n for n in self._free() if len(self._finite(n)) and not self._is_direction(n)]
         readings = [n for n in self.columns if n.startswith("reading")]
         deviations = [n for n in free if self._is_reading(n)]
@@ -311,6 +318,18 @@ class ColumnRoles:
             self._reading(deviations, actual, nominal, head)
         self._head(head, by_axis, nominal)
         return head
+
+    def _angle(self) -> None:
+        """The angle on a ball bar's circle."""
+        for name in self._free():
+            unit = self.units.get(name, "")
+            if "angle_deg" in self.columns or not (UNITS[unit].kind == "angle" if unit else has(name, "angle")):
+                continue
+            keys = {}
+            if not unit:
+                answer = self.ask(f"unit of {name}", f"Unit of the angle {name!r}?", (), "deg", "deg, rad, mrad")
+                keys = self._in_unit(answer, name, "angle")
+            self._take(name, "angle_deg", "the angle on the circle", **keys)
 
     def _is_reading(self, name: str) -> bool:
         unit = self.units.get(name, "")
@@ -426,7 +445,7 @@ class ColumnRoles:
         if deviations:
             name = deviations[0]
             if len(deviations) > 1:
-                if self._tool_tip(deviations, head):
+                if self._several(deviations, head):
                     return
                 picked = self.ask("reading", "Which column is the reading?", tuple(deviations), None)
                 for other in deviations:
@@ -438,10 +457,12 @@ class ColumnRoles:
                 if picked is None:
                     return
                 name = picked
-            self._deviation(name, actual, nominal)
+            if len(deviations) > 1 or not axis_letter(name) or not self._several([name], head):
+                self._deviation(name, actual, nominal)
             return
         if actual and nominal and (pair := self._pair(actual, nominal)):
             name, of = pair
+            self.settled["sign"] = "+1"
             self._take(name, "reading_um", f"actual minus nominal: less {of!r}", minus=of, **self._two_units(name, of))
 
     def _pair(self, actual: Sequence[str], nominal: Sequence[str]) -> tuple[str, str] | None:
@@ -476,14 +497,19 @@ class ColumnRoles:
             return
         target = "reading_urad" if UNITS[unit].kind == "angle" else "reading_um"
         sign, why = self._sign(name, actual, nominal, unit, keys.get("scale", 1.0))
-        if sign is None and (sign := difference(name) or None):
-            why = f"the reading: {MEANS[sign]}, as its name says"
         if sign is None:
-            answer = self.ask(
-                "sign", "Is the reading actual minus nominal (+1) or nominal minus actual (-1)?", ("+1", "-1"), "+1"
-            )
-            sign, why = int(answer or "+1"), "the reading"
+            sign, why = self._named_sign(name, "the reading")
+        else:
+            self.settled["sign"] = f"{sign:+d}"
         self._take(name, target, why, **keys, **({"sign": -1} if sign < 0 else {}))
+
+    def _named_sign(self, name: str, what: str) -> tuple[int, str]:
+        """The sign by the name, else asked; and what the column is."""
+        if sign := difference(name):
+            self.settled["sign"] = f"{sign:+d}"
+            return sign, f"{what}: {MEANS[sign]}, as its name says"
+        text = "Is the reading actual minus nominal (+1) or nominal minus actual (-1)?"
+        return int(self.ask("sign", text, ("+1", "-1"), "+1") or "+1"), what
 
     def _unit_of_reading(self, name: str) -> dict[str, Any]:
         """By size, where only one unit is plausible: deviations of machines are below a few tenths of a millimetre."""
@@ -510,15 +536,23 @@ class ColumnRoles:
                 return sign, f"the reading: {MEANS[sign]}, as the other columns show"
         return None, ""
 
-    def _tool_tip(self, deviations: Sequence[str], head: dict[str, Any]) -> bool:
-        """Three readings in X, Y and Z: a point beside the tool."""
+    def _several(self, deviations: Sequence[str], head: dict[str, Any]) -> bool:
+        """Readings of an instrument that has several: by the letters in their names; those of drift probes in order.
+
+        Three in X, Y and Z are of a point beside the tool unless another instrument is known.
+        """
         letters = [axis_letter(n) for n in deviations]
-        if head.get("instrument") not in (None, "tool_tip") or sorted(letters) != ["X", "Y", "Z"]:
+        if head.get("instrument") is None and sorted(letters) == ["X", "Y", "Z"]:
+            head["instrument"] = "tool_tip"
+        if head.get("instrument") == "spindle_drift":
+            letters = [f"p{i + 1}" for i in range(len(deviations))]
+        elif head.get("instrument") not in BY_LETTER or not all(letters) or len(set(letters)) < len(letters):
             return False
-        head["instrument"] = "tool_tip"
         for name, letter in zip(deviations, letters, strict=True):
             given = {} if self.units.get(name) else self._unit_of_reading(name)
-            self._take(name, f"reading_{letter.lower()}_um", f"reading in {letter}", **given)
+            if self.units.get(name) or given:
+                sign, why = self._named_sign(name, f"reading in {letter}")
+                self._take(name, f"reading_{letter.lower()}_um", why, **given, **({"sign": -1} if sign < 0 else {}))
         return True
 
     def _head(self, head: dict[str, Any], by_axis: Mapping[str, str], nominal: Sequence[str]) -> None:
@@ -588,7 +622,9 @@ class ColumnRoles:
             return {}, "direction, -1 or +1"
         low, high = codes.tolist()
         forward, why = _is_forward(values == high, at), f"direction: {high:g} or {low:g}, as the positions show"
-        if forward is None:
+        if forward is not None:
+            self.settled[f"direction of {name}"] = f"{high if forward else low:g}"
+        else:
             text = f"Which number in {name!r} is the motion in the positive direction?"
             choices = (f"{high:g}", f"{low:g}")
             answer = self.ask(f"direction of {name}", text, choices, None)

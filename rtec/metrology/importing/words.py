@@ -114,6 +114,7 @@ WORDS: Final[dict[str, frozenset[str]]] = {
             "probe",
         }
     ),
+    "angle": frozenset({"angle", "winkel", "ang", "theta", "phi"}),
     "temperature": frozenset({"temp", "temperatur", "temperature", "degc", "celsius", "thermocouple", "pt100"}),
     "spindle": frozenset({"rpm", "spindle_rpm", "drehzahl", "spindeldrehzahl", "speed"}),
     "feed": frozenset({"feed", "vorschub", "feedrate"}),

@@ -66,6 +66,7 @@ class Instrument(ABC):
         name, title: in files, and for people.
         setup_model: model of the `[setup]` table.
         axis_use: whether an axis is required, allowed, or not allowed.
+        needs: keys of `[setup]` that are needed unless a component is named, beside those without a default.
         direct: unit of a component that it may read directly; None where it cannot.
         at_rest: it reads while the axes are at rest, unless their velocities are recorded.
         setup: the `[setup]` table.
@@ -77,6 +78,7 @@ class Instrument(ABC):
     title: ClassVar[str]
     setup_model: ClassVar[type[InstrumentSetup]]
     axis_use: ClassVar[Literal["required", "optional", "none"]] = "optional"
+    needs: ClassVar[tuple[str, ...]] = ()
     direct: ClassVar[Literal["um", "urad"] | None] = None
     at_rest: ClassVar[bool] = True
 

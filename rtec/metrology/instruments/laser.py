@@ -115,6 +115,7 @@ class LaserAngular(AffineInstrument):
     name = "laser_angular"
     title = "Laser interferometer, angular"
     setup_model = LaserAngularSetup
+    needs = ("about",)
     axis_use = "required"
     direct = "urad"
     setup: LaserAngularSetup

@@ -48,6 +48,7 @@ class Level(AffineInstrument):
     name = "level"
     title = "Electronic level"
     setup_model = LevelSetup
+    needs = ("about",)
     direct = "urad"
     setup: LevelSetup
 

@@ -54,6 +54,7 @@ class SquarenessProbe(AffineInstrument):
     name = "squareness"
     title = "Squareness: probe on both arms of a square"
     setup_model = SquarenessSetup
+    needs = ("reference_axis",)
     axis_use = "required"
     direct = "urad"
     setup: SquarenessSetup

@@ -63,6 +63,7 @@ class StraightnessProbe(AffineInstrument):
     title = "Straightness: probe on an artefact, or laser straightness optics"
     at_rest = False
     setup_model = StraightnessSetup
+    needs = ("direction",)
     axis_use = "required"
     direct = "um"
     setup: StraightnessSetup
