@@ -17,6 +17,7 @@ from rtec.metrology.files.load import write_files
 from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
+from rtec.metrology.importing.cycles import from_cycles
 from rtec.metrology.importing.map import Column, ImportMap
 from rtec.metrology.importing.rows import Bools, condition, from_events
 from rtec.metrology.measurement import Measurement
@@ -107,6 +108,9 @@ def _part(path: Path, how: ImportMap) -> _Part:
     rows_in = len(table)
     if how.events is not None:
         table = from_events(table, how.events.channel, how.events.value, how.events.unit, str(path))
+        notes.append(table.notes[-1])
+    if how.cycles is not None:
+        table = from_cycles(table, **how.cycles.model_dump(), source=str(path))
         notes.append(table.notes[-1])
     keep = _kept(table, how, str(path), notes)
     _unused(table, how, notes)

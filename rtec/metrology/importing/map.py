@@ -165,12 +165,29 @@ class EventLog(Strict):
     unit: str | None = None
 
 
+class Cycles(Strict):
+    """`[cycles]`: a protocol with one row a target, one column a run and direction; each becomes rows of its own.
+
+    Attributes:
+        position: column of the file with the targets.
+        forward: columns of the runs in which the targets were approached in the positive direction, in order.
+        backward: those in the negative direction.
+        reading: what the runs hold: deviations, or actual positions; the column that they become has this name.
+    """
+
+    position: str
+    forward: tuple[str, ...] = ()
+    backward: tuple[str, ...] = ()
+    reading: Literal["deviation", "actual"] = "deviation"
+
+
 class ImportMap(Strict):
     """A whole map.
 
     Attributes:
         source: how the file is read.
         events: for a log with one value a line.
+        cycles: for a protocol with one column a run.
         measurement: what was measured.
         setup: how the instrument was set up; its keys are the instrument's own.
         time: where the time comes from.
@@ -181,6 +198,7 @@ class ImportMap(Strict):
 
     source: SourceOptions = SourceOptions()
     events: EventLog | None = None
+    cycles: Cycles | None = None
     measurement: MeasurementTable
     setup: dict[str, Any] = Field(default_factory=dict)
     time: Time

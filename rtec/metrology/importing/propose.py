@@ -22,7 +22,8 @@ from rtec.errors import MeasurementError
 from rtec.files import write_text
 from rtec.machine import Machine
 from rtec.metrology.importing.apply import chosen
-from rtec.metrology.importing.map import ImportMap
+from rtec.metrology.importing.cycles import cycles_of, from_cycles
+from rtec.metrology.importing.map import Cycles, ImportMap
 from rtec.metrology.importing.roles import LEAVE, ColumnRoles
 from rtec.metrology.importing.rows import from_events
 from rtec.metrology.importing.words import has
@@ -260,6 +261,11 @@ def propose(
     if events is not None:
         content["events"] = events
         guesses = (*guesses, Guess("events", events["channel"], "one value a line: each channel becomes a column"))
+    if cycles := dict(preset.get("cycles", {})) or ({} if events else cycles_of(table, asker.ask)):
+        known = validated(Cycles, cycles, f"{path}: [cycles]", MeasurementError)
+        content["cycles"] = known.model_dump(exclude_defaults=True)
+        table = from_cycles(table, **known.model_dump(), source=str(path))
+        guesses = (*guesses, Guess("cycles", known.position, "one row a target, one column a run"))
     head = dict(preset.get("measurement", {}))
     given = {
         k: v
@@ -280,8 +286,8 @@ def propose(
     letters = [n[8].upper() for n in content["column"] if re.fullmatch(r"reading_[xyz]_um", n)]
     if kind is INSTRUMENTS["tool_tip"] and 0 < len(letters) < 3:
         content["setup"].setdefault("directions", letters)
-    known = {**roles.settled, **{f"setup.{k}": v for k, v in content["setup"].items()}, **measurement}
-    guesses = (*guesses, *asker.unasked(known, kind))
+    shown = {**roles.settled, **{f"setup.{k}": v for k, v in content["setup"].items()}, **measurement}
+    guesses = (*guesses, *asker.unasked(shown, kind))
     if asker.assumed:
         notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asker.assumed]
         content["measurement"]["notes"] = [*content["measurement"].get("notes", ()), *notes]

@@ -345,6 +345,8 @@ def _header(
         )
         return [Guess("source.header", None, why), *begin, *more], unit_row
     number, names = _names_over(lines, rows, at, line, body, known)
+    if not names and at:
+        number, names = rows[at][0] + 1, _grouped(body.cells[at - 1], body.cells[at], body.width)
     over = [_before(line)] if line else []
     if names:
         why = f"line {number} is taken for the header: its words are over the columns"
@@ -390,6 +392,19 @@ def _names_over(
             if len(cells) == body.width and clear:
                 return i + 1, [f"{n} [{u}]" if u else n for n, u in zip(cells, units or [""] * len(cells), strict=True)]
     return 0, []
+
+
+def _grouped(groups: Sequence[str], cells: Sequence[str], width: int) -> list[str]:
+    """Names in groups (`1, 2, 1, 2` under `Forward, , Reverse, `); empty where the lines are no such two."""
+    if len(cells) != width or not 2 <= len(groups) <= width or len(list(filter(None, groups))) < 2:
+        return []
+    group, names = "", []
+    for above, name in zip([*groups, *[""] * (width - len(groups))], cells, strict=True):
+        group = above or group
+        bare = re.sub(r"\s*[\[(][^\])]*[\])]$", "", group)
+        names.append(f"{bare} {name}{group.removeprefix(bare)}".strip())
+    clear = all(map(bool, names)) and len(set(names)) == width and not any(kind_of(g) == "number" for g in groups)
+    return names if clear else []
 
 
 def _other_cuts(text: str, known: Mapping[str, Any]) -> list[list[str]]:
