@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rtec.errors import MeasurementError
 from rtec.machine import load_machine
@@ -225,6 +227,10 @@ def test_numbers_of_directions_that_the_positions_do_not_show_are_asked(tmp_path
     )
 
 
+def test_a_direction_that_is_always_0_tells_nothing(tmp_path: Path) -> None:
+    assert "dir_x" not in imported(with_words(tmp_path, "dir_x", {1: "0", -1: "0"})).columns
+
+
 def test_a_direction_of_another_axis_is_that_axis_own(tmp_path: Path) -> None:
     path = tmp_path / "foreign.csv"
     rows = [f"{x};{w};1;{d}" for x, w, d in zip(X, WAY, DEVIATION_UM, strict=True)]
@@ -232,3 +238,33 @@ def test_a_direction_of_another_axis_is_that_axis_own(tmp_path: Path) -> None:
     done = imported(path)
     np.testing.assert_array_equal(done.columns["dir_x"], WAY)
     np.testing.assert_array_equal(done.columns["dir_z"], 1.0)
+
+
+# --- any numbers
+
+NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 0.002, 500.0, 9999.0, 1e300, -1.7e308, float("nan")])
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    header=st.lists(
+        st.sampled_from(
+            ["Soll X [mm]", "Ist X [um]", "Ist", "Soll", "Ist-Soll [mm]", "dir_x", "Richtung", "Run 1 +", "Run 1 -"]
+        ),
+        min_size=2, max_size=6, unique=True,
+    ),
+    rows=st.lists(st.lists(NUMBERS, min_size=6, max_size=6), min_size=2, max_size=8),
+)  # fmt: skip
+def test_any_numbers_give_a_proposal_or_one_message(
+    tmp_path_factory: pytest.TempPathFactory, header: list[str], rows: list[list[float]]
+) -> None:
+    """Oracle: nothing but a MeasurementError may come out, and no warning."""
+    path = tmp_path_factory.mktemp("any") / "any.csv"
+    lines = [";".join("" if v != v else f"{v!r}" for v in row[: len(header)]) for row in rows]  # noqa: PLR0124
+    path.write_text("\n".join([";".join(header), *lines]), encoding="utf-8")
+    try:
+        proposal = propose(path, MACHINE)
+        known = {q.key: q.choices[0] if q.choices else "um" for q in proposal.open}
+        import_table(path, proposal.answered(known).import_map())
+    except MeasurementError:
+        pass

@@ -79,6 +79,7 @@ class Imported(Result):
         return frame(self.columns, kind)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a number that becomes infinite is refused where it is written
 def import_table(paths: Path | Sequence[Path], how: ImportMap) -> Imported:
     """Read a file of another program by a map, or several files of the same form as consecutive runs.
 

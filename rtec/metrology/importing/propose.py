@@ -229,6 +229,7 @@ def _way(question: ImportQuestion) -> str:
     return f"{key} ({hint})" if hint else key
 
 
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers are like nothing
 def propose(
     path: Path,
     machine: Machine | None = None,

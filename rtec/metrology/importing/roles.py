@@ -350,10 +350,8 @@ class ColumnRoles:
 
     def _is_small(self, name: str) -> bool:
         """Whether the values are far below the travel of the nominal positions that it may belong to."""
-        places = [n for n in self._nominal_places(name) if _spread(self._finite(n)) > 0.0]
-        size = {n: [np.abs(v).max() for v, _ in self._pairs(name, n)] for n in places}
-        way = {n: [_spread(w) for _, w in self._pairs(name, n)] for n in places}
-        return bool(places) and all(v < SMALL * w for n in places for v, w in zip(size[n], way[n], strict=True))
+        pairs = [pair for n in self._nominal_places(name) for pair in self._pairs(name, n) if _spread(pair[1]) > 0.0]
+        return bool(pairs) and all(np.abs(v).max() < SMALL * _spread(w) for v, w in pairs)
 
     def _nominal_places(self, name: str) -> list[str]:
         """The nominal positions that a column may belong to, by the letter of the axis."""
@@ -372,7 +370,7 @@ class ColumnRoles:
 
     def _follows(self, name: str, place: str) -> bool:
         """Whether a column has the values of a position, but for a constant and what is small beside its travel."""
-        return any(_spread(v - w) < SMALL * _spread(w) for v, w in self._pairs(name, place))
+        return any(_is_like(v, w) for v, w in self._pairs(name, place))
 
     def _is_position(self, name: str) -> bool:
         unit = self.units.get(name, "")
@@ -478,7 +476,7 @@ class ColumnRoles:
     def _two_units(self, name: str, of: str) -> dict[str, Any]:
         """`unit`, `scale` and `minus_unit` of an actual position less a nominal one, where the file lacks them."""
         less = {"unit": self.units[of]} if self.units.get(of) else self._length(of)
-        alike = any(_spread(v - w) < SMALL * _spread(w) for v, w in self._pairs(name, of)[-1:])
+        alike = any(_is_like(v, w) for v, w in self._pairs(name, of)[-1:])
         usual = f"{less['scale']} {less['unit']}" if "scale" in less else less.get("unit")
         own = {"unit": self.units[name]} if self.units.get(name) else self._length(name, usual if alike else None)
         if not (own and less):
@@ -616,6 +614,9 @@ class ColumnRoles:
         place = str(self.columns.get(f"{target.removeprefix('dir_')}_mm", {}).get("from"))
         at = self._values(place) if place in self.table.columns else np.zeros(len(values))
         codes = np.unique(values[np.isfinite(values)])
+        if not codes.any():
+            self.use[name] = ("", "a direction that is 0 in every row")
+            return None, ""
         first = np.isfinite(values) & (np.cumsum(np.nan_to_num(values) != 0.0) == 0)
         before = not np.any((values == 0.0) & ~first) and not np.ptp(at[first]) if first.any() else 0.0 not in codes
         if set(codes) <= {-1.0, 0.0, 1.0} and (-1.0 in codes or before):
@@ -662,6 +663,10 @@ class ColumnRoles:
             return {}
         self.guesses.append(Guess("rows.require", [clock], f"{counted(without, 'line')} without a time: no row"))
         return {"require": [clock]}
+
+
+def _is_like(values: Floats, place: Floats) -> bool:
+    return _spread(values - place) < SMALL * _spread(place)
 
 
 def _spread(values: Floats) -> float:
