@@ -29,6 +29,8 @@ WHY_ENDED = {
     "stopped": "you stopped it",
     "at_floor": "the residual is at the noise floor",
     "no_gain": "the next effect would lower the error on held-out runs by less than 2 %",
+    "narrow_range": "the next effect follows a temperature that varied by less than 1 °C: measure over a wider range, "
+    "or add it with rtec add",
     "steps": "one call adds no more effects than these",
 }
 
@@ -158,9 +160,10 @@ def _why_ended(r: Improved) -> str:
 def _last_verdict(r: Improved) -> str:
     """The verdict of the last diagnosis; an effect that is too small is named as such."""
     verdict = sentence(r.diagnoses[-1].sentence)
-    if r.reason != "no_gain":
+    if r.reason not in ("no_gain", "narrow_range"):
         return verdict
-    return f"{'Not' if r.cancelling else 'Too small to be'} added: {verdict}"
+    small = r.reason == "no_gain" and not r.cancelling
+    return f"{'Too small to be' if small else 'Not'} added: {verdict}"
 
 
 def history_page(h: History, figures: bool = True) -> Page:

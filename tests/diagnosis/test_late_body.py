@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rtec.characterise import fitted_model
 from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis import doubts
+from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search import diagnose as search
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.candidates import library
@@ -19,6 +20,7 @@ from rtec.estimation.readings import read
 from rtec.machine import Machine, machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
+from rtec.report.history import improved_page
 from tests.support.diagnosis_examples import TABLE
 from tests.support.machines import axis
 
@@ -117,3 +119,15 @@ def test_what_is_significant_is_never_called_nothing(monkeypatch: pytest.MonkeyP
     d = diagnose(fitted_model([m], wanted=read_wanted("scale:EXX", m.machine)), [m], draws=50)
     assert d.verdict != "nothing_missing"
     assert d.unknown is not None
+
+
+def test_a_temperature_that_hardly_varied_is_given_as_the_reason() -> None:
+    """The air varied by 0.6 °C. The addition would lower the error, so that "less than 2 %" would be untrue."""
+    m = line(9, growth=8.0)
+    air = 0.06 * m.channels["x"] * (m.channels["T_air"] - 20.0)
+    m = replace(m, readings={"reading_um": m.readings["reading_um"] + air})
+    known = fitted_model([m], wanted=read_wanted("scale:EXX,axis_expansion:EXX:sensor=T_bed", m.machine))
+    done = improve(known, [m], draws=50)
+    assert done.diagnoses[-1].findings[0].label == "axis_expansion(EXX, X, T_air)"
+    assert done.reason == "narrow_range"
+    assert "varied by less than 1 °C" in improved_page(done, figures=False).lead

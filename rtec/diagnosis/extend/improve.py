@@ -37,7 +37,15 @@ from rtec.result import Result
 
 Stage = Callable[[str, int, int], None]
 Reason = Literal[
-    "nothing_missing", "undecided", "unknown_effect", "ambiguous", "stopped", "at_floor", "no_gain", "steps"
+    "nothing_missing",
+    "undecided",
+    "unknown_effect",
+    "ambiguous",
+    "stopped",
+    "at_floor",
+    "no_gain",
+    "narrow_range",
+    "steps",
 ]
 
 AT_FLOOR = 1.05
@@ -323,7 +331,10 @@ class _Growth:
             others = [] if ask else others
             added = self._first_gain(model, found, [picked, *others])
             if added is None:
-                return Improved(model, tuple(steps), tuple(diagnoses), "no_gain", cancelling=self.cancelling)
+                narrow = hardly_varied(model, picked.effect, self.given.readings)
+                reason: Reason = "narrow_range" if narrow else "no_gain"
+                cancelling = () if narrow else self.cancelling
+                return Improved(model, tuple(steps), tuple(diagnoses), reason, cancelling=cancelling)
             model = self._taken(added, steps)
         return Improved(model, tuple(steps), tuple(diagnoses), "steps")
 
