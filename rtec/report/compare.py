@@ -81,7 +81,8 @@ def _lead(c: Comparison) -> str:
     first = min(c.items, key=_badness)
     others = len(c.items) - 1
     more = f" The other {'residual is' if others == 1 else f'{others} residuals are'} in the table." if others else ""
-    return _verdict(first, c) + more + left_out(c.judged.given.wrong)
+    asked = next((f" {_sentence(d.words)}" for d in c.doubts if d.blames_no_effect), "")
+    return _verdict(first, c) + asked + more + left_out(c.judged.given.wrong)
 
 
 def _badness(i: Compared) -> tuple[bool, float]:

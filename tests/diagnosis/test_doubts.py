@@ -17,6 +17,7 @@ from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from rtec.report.compare import compare_page
 from rtec.sim.campaign.truth import effect_from_text
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build as generated
@@ -228,8 +229,10 @@ def test_no_effect_is_named_beside_readings_of_the_wrong_sign() -> None:
     turned = replace(bad, readings={k: -v for k, v in bad.readings.items()})
     d = diagnose(model(known), [good, turned], draws=50)
     assert d.verdict == "undecided"
-    assert "is the sign of the readings right? Correct the file first." in d.sentence
+    asked = "is the sign of the readings right? Correct the file first."
+    assert asked in d.sentence
     assert not d.findings[0].accepted
+    assert asked in compare_page(compare(model(known), [turned]), figures=False).lead
 
 
 @pytest.mark.parametrize(
