@@ -177,6 +177,18 @@ def test_periods_are_searched_for() -> None:
     assert found[1] < 0.5
 
 
+def test_a_period_that_nobody_gave_is_found_anywhere_in_its_range() -> None:
+    """Oracle: the true period of the wave; the usual one of a gear, 16 mm, is far away."""
+    wave = "cyclic_pole,component=EXX,axis=X,s=2,c=-1,period=37.3"
+    model = model_of(SCALE)
+    added = add(
+        model, [blank(wave, model)], [laser([SCALE, wave], 3, targets={"step_mm": 4.1}, protocol="cold", cycles=6)]
+    )
+    found = numbers(added.model)["cyclic_pole(EXX, X) period"]
+    assert added.better
+    assert found[0] == pytest.approx(37.3, abs=4.0 * found[1])
+
+
 def test_ranges_grow_and_never_shrink(measured: list[Measurement]) -> None:
     """Oracle: a range that the model knew before, wider than what was measured now."""
     model = Model(small_machine(), effects(SCALE), name="test", valid_range={"x": (-50.0, 100.0)})

@@ -1,4 +1,4 @@
-"""Scans the whole range of an expression's own parameters before they are refined.
+"""Scans the whole range of parameters that nobody searched before they are refined.
 
 A period has many local minima: least squares from one start stops at the nearest. So the range is scanned point by
 point, each by one linear least squares, and the best few are refined together with the given start.
@@ -34,6 +34,8 @@ ALIKE = 1.01
 """Residuals (root mean square) within this factor are equal."""
 AS_MUCH = 0.9
 """And they must remove this share of what the best one removes, so that small effects are distinguished too."""
+WIDE = 1.2
+"""A range up to this factor is refined from its start without a scan."""
 SAME = 0.02
 """Values within this relative difference are one."""
 EVALUATIONS = 30
@@ -78,10 +80,11 @@ class _Search:
 
 
 def scan_ranges(fitted: FittedEffect, before: Joint, readings: Readings) -> tuple[FittedEffect, tuple[str, ...]]:
-    """Put the parameters of an expression at the best fit within their whole ranges.
+    """Put the parameters of an effect at the best fit within their whole ranges.
 
     Args:
-        fitted: a new effect with its start; returned unchanged unless it is an expression with bounded parameters.
+        fitted: a new effect with its start; returned unchanged without bounded parameters, and unless it is an
+            expression or all of them are where every search of that effect begins: others were searched already.
         before: the fit without it.
         readings: all readings of the fit.
 
@@ -90,7 +93,8 @@ def scan_ranges(fitted: FittedEffect, before: Joint, readings: Readings) -> tupl
         distant values that fit equally well.
     """
     free = [p for p in fitted.effect.nonlinear(readings.machine) if np.isfinite([p.low, p.high]).all()]
-    if fitted.effect.effect != "expression" or not free:
+    unsearched = all(fitted.theta[p.name] == p.start for p in free) and any(p.high > WIDE * p.low for p in free)
+    if not free or not (fitted.effect.effect == "expression" or unsearched):
         return fitted, ()
     search = _Search(fitted, before, readings)
     places = _distinct([_refined(search, p.theta, free) for p in _looked_through(search, free)], free)
