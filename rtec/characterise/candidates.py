@@ -30,6 +30,8 @@ EXPONENTS = (1.0, 1.5, 2.0)
 """Powers of the speed with which a spindle's heat grows."""
 
 
+FREE = ("load_deformation", "backlash_load", "backlash_temperature")
+"""Effects of the catalogue beyond those of `geometry`, `extended` and `thermal` that a free choice tries."""
 THERMAL = {
     "axis_expansion", "axis_expansion_nonuniform", "column_tilt", "mount_expansion", "spindle_growth", "spindle_tilt",
 }  # fmt: skip
@@ -201,23 +203,24 @@ def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: s
 
     Args:
         sources: the measurements.
-        allowed: names of the effects that may be candidates; None for a free choice, which includes plug-ins.
+        allowed: names of the effects that may be candidates; None for a free choice: `FREE`, and plug-ins.
         there: names of effects that are candidates already.
     """
     kinds = all_effects()
-    names = (
-        [n for n, k in kinds.items() if not k.__module__.startswith("rtec.effects.")] if allowed is None else allowed
-    )
+    free = [n for n, k in kinds.items() if n in FREE or not k.__module__.startswith("rtec.effects.")]
+    names = free if allowed is None else allowed
     wanted = [n for n in names if n not in there and n not in THERMAL]
     if not wanted:
         return []
     found, _ = library(read([s.measurement for s in sources], smooth=False), wanted)
-    out = []
+    machine, out = sources[0].measurement.machine, []
+    moving = {c for a in machine.axes for c in (a.channel, *a.moving_channels)}
     for c in found:
-        channels = c.effect.channels(sources[0].measurement.machine)
+        channels = c.effect.channels(machine)
+        by = ", ".join(n for n in channels if n not in moving) or c.effect.effect
         for theta in c.thetas:
             at = "".join(f" {n} {v:.4g}" for n, v in theta.items())
-            out.append(TermCandidate(Term(c.effect, dict(theta)), "other", f"{c.effect.effect}{at}", channels))
+            out.append(TermCandidate(Term(c.effect, dict(theta)), "other", f"{by}{at}", channels))
     return out
 
 
