@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings, check_sensor
 from rtec.effects.state import Channels, Value
@@ -58,6 +58,11 @@ class Cyclic(AxisEffect):
         super().check(machine, where)
         if self.grows_with is not None and self.grows_with not in GROWTHS:
             check_sensor(machine, self.grows_with, f"{where}: grows_with (a temperature, {' or '.join(GROWTHS)})")
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, serialized: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without `grows_with` where it is not given: models from before it keep their hash."""
+        return {k: v for k, v in serialized(self).items() if k != "grows_with" or v is not None}
 
     @property
     def steady(self) -> Self:
