@@ -76,7 +76,7 @@ def write(
     from dataclasses import asdict
 
     from rtec.correction.tables import table_format
-    from rtec.correction.tables.predict import checked, conditions, grids_mm, residuals, table_of, with_heat
+    from rtec.correction.tables.predict import beyond, checked, conditions, grids_mm, residuals, table_of, with_heat
     from rtec.errors import ConfigError
     from rtec.files import write_text
     from rtec.report.tables import written_page
@@ -89,11 +89,13 @@ def write(
     table = checked(table_of(loaded, moved, corrected, positions, known, None, second, across), form)
     table = with_heat(loaded, table) if form.limits.adds_heat else table
     left = residuals(loaded, table)
+    outside = beyond(loaded, table.at, [moved, *([second] if second else [])])
     write_text(form.text(table), out, ConfigError)
     if as_json:
-        print_json({**_facts(table, format_name), "file": str(out), "residual": [asdict(r) for r in left]})
+        residual = {"residual": [asdict(r) for r in left], "beyond": outside}
+        print_json({**_facts(table, format_name), "file": str(out), **residual})
         return
-    show_page(written_page(table, form, left, out))
+    show_page(written_page(table, form, left, out, outside))
     typer.echo(f"Table: {out}")
 
 
@@ -113,7 +115,7 @@ def read(
     Example: `rtec table read x.comp --axis X --model model.toml --at T_x_nut=24,T_z_nut=22`
     """
     from rtec.correction.tables import table_format
-    from rtec.correction.tables.predict import conditions, table_of
+    from rtec.correction.tables.predict import beyond, conditions, table_of
     from rtec.correction.tables.table import TableAxes, table_text
     from rtec.errors import ConfigError
     from rtec.report.tables import compared_page
@@ -131,14 +133,18 @@ def read(
     table = form.read(text, str(file), TableAxes(axis, corrected.name, second.name if second else ""))
     known = conditions(loaded, moved, _values(at))
     said = table_of(loaded, moved, corrected, table.positions_mm, known, None, second, table.second_mm)
+    said = form.limits.zeroed(said)
+    outside = beyond(loaded, known, [moved, *([second] if second else [])])
     if as_json:
         differences = {
             "model_minus_table_forward_um": said.forward_um - table.forward_um,
             "model_minus_table_backward_um": said.backward_um - table.backward_um,
+            "zero_um": said.zero_um,
+            "beyond": outside,
         }
         print_json({**_facts(table, format_name), **differences})
         return
-    show_page(compared_page(table, said, form, file, moved.travel_mm))
+    show_page(compared_page(table, said, form, file, moved.travel_mm, outside))
 
 
 @app.command()

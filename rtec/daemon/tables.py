@@ -13,7 +13,16 @@ from typing import Final, Self
 import numpy as np
 
 from rtec.correction.tables import table_format
-from rtec.correction.tables.predict import History, checked, conditions, grids_mm, residuals, table_axes, table_of
+from rtec.correction.tables.predict import (
+    History,
+    beyond,
+    checked,
+    conditions,
+    grids_mm,
+    residuals,
+    table_axes,
+    table_of,
+)
 from rtec.correction.tables.table import CompensationTable, Floats, TableAxes, table_text
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonPart, KeptThread
@@ -252,7 +261,4 @@ def _unusable(now: Mapping[str, float], status: Status, model: Model, most_s: fl
             return f"{name} is not known"
         if status.degc_age_s.get(name, 0.0) > most_s:
             return f"{name} is old"
-        low, high = model.valid_range.get(name, (-np.inf, np.inf))
-        if not low <= value <= high:
-            return f"{name} is outside the range of the model ({low:g} to {high:g}): now {value:.1f}"
-    return ""
+    return next(iter(beyond(model, now)), "")

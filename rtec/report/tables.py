@@ -16,7 +16,11 @@ NEAR_MM = 0.01
 
 
 def written_page(
-    table: CompensationTable, form: TableFormat, residuals: Sequence[TableResidual], path: Path | None
+    table: CompensationTable,
+    form: TableFormat,
+    residuals: Sequence[TableResidual],
+    path: Path | None,
+    beyond: Sequence[str] = (),
 ) -> Page:
     """The page of a written table."""
     low, high = float(table.positions_mm[0]), float(table.positions_mm[-1])
@@ -30,8 +34,13 @@ def written_page(
     rows = [(r.what, f"{r.largest_um:.2f}") for r in residuals if r.largest_um >= SHOWN_UM] or [("nothing", "0.00")]
     left = Section("What the table cannot express", (), Table(("alone", "residual, µm"), rows))
     facts = [f"Columns: {form.sign}.", f"Use: {form.use.replace('= FILE', f'= {path.name}' if path else '= FILE')}."]
-    sections = [Section("", facts), left, *_heat_section(table)]
+    sections = [Section("", [*_warned(beyond), *facts]), left, *_heat_section(table)]
     return Page("Compensation table", lead, (), sections)
+
+
+def _warned(beyond: Sequence[str]) -> list[str]:
+    """Sentence where the model does not know the conditions; else none."""
+    return [f"Beware: {'; '.join(beyond)}. No measurement has been there, and the loop would hold."] if beyond else []
 
 
 def _heat_section(table: CompensationTable) -> list[Section]:
@@ -45,7 +54,12 @@ def _heat_section(table: CompensationTable) -> list[Section]:
 
 
 def compared_page(
-    table: CompensationTable, model: CompensationTable, form: TableFormat, source: Path, travel_mm: tuple[float, float]
+    table: CompensationTable,
+    model: CompensationTable,
+    form: TableFormat,
+    source: Path,
+    travel_mm: tuple[float, float],
+    beyond: Sequence[str] = (),
 ) -> Page:
     """The page of an existing table, with a model's prediction at its points."""
     differences = np.array([model.forward_um - table.forward_um, model.backward_um - table.backward_um])
@@ -68,7 +82,9 @@ def compared_page(
     head: tuple[str, ...] = ("position, mm", "table +, µm", "model +, µm", "table -, µm", "model -, µm")
     head = (f"{table.second}, mm", f"{table.axis}, mm", *head[1:]) if table.second else head
     caption = "Error, actual minus nominal: + arriving in positive direction, - in negative."
-    facts = [] if (covers := _covers(table, travel_mm)) is None else [covers]
+    covers, zero = _covers(table, travel_mm), model.zero_um
+    without = [f"The format has a zero: the model is compared without its {zero:+.2f} µm there."] if zero else []
+    facts = [*_warned(beyond), *([covers] if covers else []), *without]
     return Page("Compensation table", lead, (), [Section("", facts, Table(head, rows, caption, words=()))])
 
 

@@ -1,5 +1,6 @@
 """Compensation tables: what a model predicts, in a controller's format, and back."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,14 @@ from hypothesis import strategies as st
 
 from rtec.cli.main import status
 from rtec.correction.tables import FORMATS, table_format
-from rtec.correction.tables.predict import checked, conditions, grids_mm, residuals, table_of
+from rtec.correction.tables.predict import beyond, checked, conditions, grids_mm, residuals, table_of
 from rtec.correction.tables.table import CompensationTable, Floats, TableAxes
+from rtec.effects.cyclic import InterpolationError
+from rtec.effects.geometry import PolynomialPosition
+from rtec.effects.reversal import Backlash
 from rtec.errors import ConfigError
 from rtec.machine import load_machine
-from rtec.model import load_model
+from rtec.model import FittedEffect, Model, load_model, save_model
 from tests.correction.table_examples import BECKHOFF, SINUMERIK
 
 CONFIGS = Path(__file__).parents[2] / "configs" / "linuxcnc"
@@ -151,3 +155,75 @@ def test_wrong_use_is_one_clear_message(
 def test_a_format_that_is_none_is_told() -> None:
     with pytest.raises(ConfigError, match="did you mean 'linuxcnc'"):
         table_format("linuxnc", "here")
+
+
+def with_effects(*effects: FittedEffect) -> Model:
+    """The mill with these effects only."""
+    return replace(MODEL, effects=effects, valid_range={})
+
+
+def rolled(component: str = "ECX", peak_um: float = 20.0) -> FittedEffect:
+    """A component along X that is equal at both ends of the travel, and differs by about `peak_um` between."""
+    shape = PolynomialPosition.model_validate({"component": component, "axis": "X", "degrees": [2]})
+    return FittedEffect(shape, {"c2": peak_um})
+
+
+def test_other_axes_are_searched_within_their_travel_too() -> None:
+    """Oracle: a component that is equal at both ends of X: between them it differs by its whole height. Of a wave
+    whose period divides the travel, its amplitude twice (from the table's place to the other side)."""
+    y = MACHINE.axis("Y")
+    shape = rolled("EYX")
+    at = {"X": 100.0, "Z": 0.0}
+    table = table_of(with_effects(shape), y, y, grid_mm(50.0), conditions(with_effects(shape), y, at))
+    found = {r.what[0]: r.largest_um for r in residuals(with_effects(shape), table)}
+    heights = [with_effects(shape).predict(X=x, Y=0.0, Z=0.0)[1] for x in (-100.0, 0.0, 100.0)]
+    assert heights[0] == pytest.approx(heights[2])
+    assert abs(heights[1] - heights[0]) > 5.0
+    assert found["X"] == pytest.approx(abs(heights[1] - heights[0]), rel=1e-3)
+    wave = InterpolationError.model_validate({"component": "EYX", "axis": "X", "lambda_mm": 0.5})
+    model = with_effects(FittedEffect(wave, {"s": 0.0, "c": 3.0}))
+    table = table_of(model, y, y, grid_mm(50.0), conditions(model, y, at))
+    assert {r.what[0]: r.largest_um for r in residuals(model, table)}["X"] == pytest.approx(6.0, rel=0.03)
+
+
+def test_the_direction_of_another_axis_is_none_of_the_tables_own() -> None:
+    """Oracle: play of 4 µm of X, which shows along Y: half of it to each side, so the whole between them."""
+    play = Backlash.model_validate({"component": "EYX", "axis": "X"})
+    model, y = with_effects(FittedEffect(play, {"B": 4.0})), MACHINE.axis("Y")
+    table = table_of(model, y, y, grid_mm(50.0), conditions(model, y, {}))
+    assert {r.what[0]: r.largest_um for r in residuals(model, table)}["X"] == pytest.approx(4.0)
+
+
+def test_the_zero_of_a_format_is_no_residual_of_another_axis(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: a model of X alone with 20 µm at position 0: no other axis changes it, and the list of the control, which
+    is zero there, lacks the 20 µm everywhere: that is one constant, and no difference from the model."""
+    curve = PolynomialPosition.model_validate({"component": "EXX", "axis": "X", "degrees": [0, 1]})
+    model, form = with_effects(FittedEffect(curve, {"c0": 20.0, "c1": 30.0})), FORMATS["fanuc"]
+    table = checked(table_of(model, X, X, grid_mm(10.0), conditions(model, X, {})), form)
+    found = {r.what.split()[0]: r.largest_um for r in residuals(model, table)}
+    assert found["Y"] == found["Z"] == 0.0
+    assert found["a"] == pytest.approx(20.0)
+    assert found["at"] <= 0.5 + 1e-9
+    save_model(model, tmp_path / "m.toml")
+    file = ["--machine", str(CONFIGS / "mill-machine.toml"), "--axis", "X", "--format", "fanuc"]
+    assert status(["table", str(tmp_path / "m.toml"), *file, "-o", str(tmp_path / "x.txt")]) == 0
+    capsys.readouterr()
+    assert status(["table", "read", str(tmp_path / "x.txt"), "--model", str(tmp_path / "m.toml"), *file]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "compared without its +20.00 µm" in said
+    assert float(said.split("by up to ")[1].split()[0]) <= 0.5
+
+
+def test_a_table_beyond_the_models_range_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the model's own range, 15 to 60 degrees, within the sensor's."""
+    out, model = tmp_path / "x.comp", str(CONFIGS / "mill-model.toml")
+    for degc, warned in ((60, False), (61, True)):
+        at = ["--at", f"T_x={degc},T_y=25,T_z=24"]
+        assert status(["table", model, "--axis", "X", *at, "-o", str(out)]) == 0
+        assert ("T_x is outside the range of the model (15 to 60): 61" in capsys.readouterr().out) == warned
+        assert status(["table", "read", str(out), "--axis", "X", "--model", model, *at]) == 0
+        assert ("T_x is outside the range of the model (15 to 60): 61" in capsys.readouterr().out) == warned
+    narrow = replace(MODEL, valid_range={"x": (-50.0, 100.0)})
+    assert beyond(narrow, {}, [X]) == ["X is outside the range of the model (-50 to 100): -100"]

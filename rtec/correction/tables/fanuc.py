@@ -63,7 +63,7 @@ class PitchErrorList(TableFormat):
 
     @property
     def limits(self) -> TableLimits:
-        """128 points, at multiples of the distance."""
+        """128 sections, at multiples of the distance, so one position more."""
         most = MOST_POINTS + 1
         return TableLimits(most, self.both, "own", True, UNIT_UM, grid="origin", zero="origin", typed=True)
 

@@ -1,6 +1,6 @@
 """From a model to a table, and what the table cannot express."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 
@@ -19,6 +19,9 @@ History = tuple[Floats, Mapping[str, Floats]]
 """Instants, s, rising, (m,), and slow channels at them, (m,) each, for effects that lag; the last instant is now."""
 PER_STEP = 10
 """Positions in each step of a table at which the model is compared with it."""
+FEW, MANY = 21, 200
+"""Values at which the model is searched over the range of a channel: one that sets a shape, one with a finer shape."""
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 LEAST_HEAT_UM = 1e-3
 """An effect of one °C below this, µm, gets no line."""
 
@@ -181,9 +184,10 @@ def with_heat(model: Model, table: CompensationTable) -> CompensationTable:
 def residuals(
     model: Model, table: CompensationTable, history: History | None = None, slow: bool = True
 ) -> list[TableResidual]:
-    """The residuals of a table, largest first: between its points, direction, heat, speed, other axes.
+    """The residuals of a table, largest first: at and between its points, heat, speed, other axes; last a constant.
 
-    Each cause is changed alone, to the ends of the range that the model was fitted in (for axes: of the travel).
+    Each cause is changed alone: a temperature and the speed over the range that the model was fitted in, another axis
+    over its travel and in both directions.
 
     Args:
         model: model that the table expresses.
@@ -193,40 +197,58 @@ def residuals(
     """
     machine = model.machine
     axis, corrects = machine.axis(table.axis), machine.axis(table.corrects)
-    at = dict(table.at)
-    coarse, fine = (_places(table.positions_mm, axis, n) for n in (1, PER_STEP))
+    at: dict[str, float | Floats] = dict(table.at)
     second = machine.axis(table.second) if table.second else None
-    rows = [_places(table.second_mm, second, n) if second else np.zeros(1) for n in (1, 2)]
     predicted = _Predicted(model, axis, corrects, second, history)
 
-    def worst(places: Floats, changed: Mapping[str, float], across: Floats) -> float:
+    def worst(per_step: int) -> float:
+        places = _places(table.positions_mm, axis, per_step)
+        across = _places(table.second_mm, second, min(per_step, 2)) if second else np.zeros(1)
         every = np.tile(places, len(across))
-        known: dict[str, float | Floats] = {**at, table.second: np.repeat(across, len(places)), **changed}
+        known = {**at, table.second: np.repeat(across, len(places))}
         return max(
-            float(
-                np.abs(
-                    predicted.um(every, known, d)
-                    - np.concatenate([table.error_um(places, d, y) for y in across.tolist()])
-                ).max()
-            )
+            float(np.abs(predicted.um(every, known, d) - table.zero_um - np.concatenate(rows)).max())
             for d in (1.0, -1.0)
+            for rows in [[table.error_um(places, d, y) for y in across.tolist()]]
         )
 
     out = [
-        TableResidual("at its points (rounding, direction, zero)", worst(coarse, {}, rows[0])),
-        TableResidual("between its points", worst(fine, {}, rows[1])),
+        TableResidual("at its points (rounding, direction)", worst(1)),
+        TableResidual("between its points", worst(PER_STEP)),
     ]
+    places = _searched(model, axis.name, *axis.travel_mm, FEW)
+    if second:
+        across = _searched(model, second.name, *second.travel_mm, FEW)
+        at[second.name], places = np.repeat(across, len(places)), np.tile(places, len(across))
     for name, (low, high) in _ranges(model, machine, axis).items():
         if name == table.second or (not slow and name not in machine.axis_names):
             continue
         unit = "°C" if name in machine.sensor_names else "1/min" if name == "spindle_rpm" else "mm"
         out.append(
             TableResidual(
-                f"{name} from {low:g} to {high:g} {unit} (table: {at.get(name, 0.0):g})",
-                max(worst(coarse, {name: value}, rows[0]) for value in (low, high)),
+                f"{name} from {low:g} to {high:g} {unit} (table: {table.at.get(name, 0.0):g})",
+                max(predicted.change_um(places, at, name, (low, high), d) for d in (1.0, -1.0)),
             )
         )
-    return sorted(out, key=lambda r: -r.largest_um)
+    constant = [TableResidual("a constant: the format has a zero", abs(table.zero_um))] if table.zero_um else []
+    return sorted(out, key=lambda r: -r.largest_um) + constant
+
+
+def beyond(model: Model, at: Mapping[str, float], moves: Sequence[Axis] = ()) -> list[str]:
+    """What is outside the range that the model was fitted in, a sentence each; the loop would hold there.
+
+    Args:
+        model: model with its range.
+        at: values by sensor, axis, or `spindle_rpm`.
+        moves: axes that move over their whole travel.
+    """
+    channels = {a.name: a.channel for a in model.machine.axes}
+    out = []
+    for name, value in [*at.items(), *((a.name, end) for a in moves for end in a.travel_mm)]:
+        low, high = model.valid_range.get(channels.get(name, name), (-np.inf, np.inf))
+        if not low <= value <= high:
+            out.append(f"{name} is outside the range of the model ({low:g} to {high:g}): {value:.4g}")
+    return out
 
 
 def checked(table: CompensationTable, form: TableFormat) -> CompensationTable:
@@ -313,6 +335,18 @@ def _to_travel(errors: Callable[[Floats], Floats], points_mm: Floats, axis: Axis
     return values
 
 
+def _searched(model: Model, channel: str, low: float, high: float, count: int) -> Floats:
+    """Values at which the largest error over a range is looked for: its ends, the model's knots, and some between.
+
+    Those between are spread by the golden ratio, so that an error of no period shows them one phase only.
+    """
+    knots = [
+        k for f in model.effects if getattr(f.effect, "axis", "") == channel for k in getattr(f.effect, "knots_mm", ())
+    ]
+    between = low + (high - low) * (GOLDEN * np.arange(count) % 1.0)
+    return np.unique(np.clip(np.r_[low, high, knots, between], low, high))
+
+
 def _ranges(model: Model, machine: Machine, axis: Axis) -> dict[str, tuple[float, float]]:
     slow = [name for name in (*machine.sensor_names, "spindle_rpm") if name in model.channels]
     out = {name: model.valid_range[name] for name in slow if name in model.valid_range}
@@ -337,9 +371,33 @@ class _Predicted:
         if self.corrects.name in [a.name for a in moving]:
             return errors
         middle = {a.name: 0.5 * sum(a.travel_mm) for a in moving}
-        there = np.array([middle[self.axis.name]])
+        there = np.full_like(positions_mm, middle[self.axis.name])
         known = {**at, **middle}
         return errors - 0.5 * (self._error_um(there, known, 1.0) + self._error_um(there, known, -1.0))
+
+    def change_um(
+        self,
+        positions_mm: Floats,
+        at: Mapping[str, float | Floats],
+        name: str,
+        ends: tuple[float, float],
+        direction: float,
+    ) -> float:
+        """Largest change of the errors, µm, where one channel alone goes over its range."""
+        axis = next((a for a in self.model.machine.axes if a.name == name), None)
+        values = _searched(self.model, name, *ends, MANY if axis else FEW)
+        ways = (1.0, -1.0) if axis and axis.direction_channel in self.model.channels else (1.0,)
+        before = self.um(positions_mm, at, direction)
+
+        def change(values: Floats, way: float) -> float:
+            n, changed = len(values), {name: np.repeat(values, len(positions_mm))}
+            every = {k: np.tile(v, n) if isinstance(v, np.ndarray) else v for k, v in at.items()} | changed
+            known = every | ({axis.direction_channel: way} if axis else {})
+            after = self.um(np.tile(positions_mm, n), known, direction)
+            return float(np.abs(after - np.tile(before, n)).max())
+
+        blocks = [values] if axis else values[:, None]  # an effect of a temperature may lag: one value a call
+        return max(change(block, way) for block in blocks for way in ways)
 
     def _error_um(self, positions_mm: Floats, at: Mapping[str, float | Floats], direction: float) -> Floats:
         model, machine, n = self.model, self.model.machine, len(positions_mm)
@@ -353,7 +411,7 @@ class _Predicted:
             moves = a.name == self.axis.name
             place = np.asarray(at[a.name] if not moves else 0.0)
             channels[a.channel] = positions_mm if moves else np.r_[np.full(m, place.flat[0]), np.full(n - m, place)]
-            channels[a.direction_channel] = np.full(n, direction if moves else 1.0)
+            channels[a.direction_channel] = np.full(n, direction if moves else at.get(a.direction_channel, 1.0))
             channels[a.since_reversal_channel] = np.full(n, FAR_MM)
             channels[a.velocity_channel] = channels[a.acceleration_channel] = np.zeros(n)
         channels |= {name: np.full(n, at.get(name, model.reference_degc)) for name in machine.sensor_names}

@@ -61,6 +61,7 @@ class CompensationTable:
         second_mm: (m,), rising; empty where there is none.
         heat: effect of the temperatures, for controls that add it themselves.
         others: other tables in the file that it was read from.
+        zero_um: constant that is not in the values, as a format with a zero has none.
     """
 
     axis: str
@@ -73,6 +74,7 @@ class CompensationTable:
     second_mm: Floats = field(default_factory=lambda: NO_PLACES)
     heat: tuple[HeatLine, ...] = ()
     others: int = 0
+    zero_um: float = 0.0
 
     def error_um(self, positions_mm: Floats, direction: float, second_mm: float = 0.0) -> Floats:
         """Error at any positions, µm: linear between the points, constant beyond the ends.
@@ -172,12 +174,19 @@ class TableLimits:
         forward, backward = table.forward_um, table.backward_um
         if not self.both_directions:
             forward = backward = 0.5 * (forward + backward)
-        if self.zero:
-            place = 0.0 if self.zero == "origin" else float(table.positions_mm[0])
-            shift = np.interp(place, table.positions_mm, forward)
-            forward, backward = forward - shift, backward - shift
-        forward, backward = (np.rint(values / step) * step for values in (forward, backward))
-        return replace(table, forward_um=forward, backward_um=backward)
+        plain = self.zeroed(replace(table, forward_um=forward, backward_um=backward))
+        forward, backward = (np.rint(values / step) * step for values in (plain.forward_um, plain.backward_um))
+        return replace(plain, forward_um=forward, backward_um=backward)
+
+    def zeroed(self, table: CompensationTable) -> CompensationTable:
+        """The table without the constant that the format cannot hold."""
+        if not self.zero:
+            return table
+        place = 0.0 if self.zero == "origin" else float(table.positions_mm[0])
+        directions = (1.0,) if self.both_directions else (1.0, -1.0)
+        shift = float(np.mean([table.error_um(np.array([place]), d) for d in directions]))
+        forward, backward = table.forward_um - shift, table.backward_um - shift
+        return replace(table, forward_um=forward, backward_um=backward, zero_um=table.zero_um + shift)
 
 
 class TableAxes(NamedTuple):
