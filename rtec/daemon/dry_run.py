@@ -13,7 +13,7 @@ from rtec.correction.flags import HOLD_REASONS, MODE_ON, REASONS, Flag
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
-from rtec.loop.records import Samples
+from rtec.loop.records import NEVER_NS, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 
@@ -46,6 +46,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     sample.degc[:] = np.nan
     sample.spindle_rpm[:] = np.nan
     sample.mode[0] = MODE_ON
+    sample.counts_time_ns[0] = NEVER_NS
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
         _read(ports, sample)  # a device may get ready at the first read; that is no wait
@@ -60,7 +61,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
             if there or clock.now_ns() >= end_ns:
                 break
             clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
-        if not sample.counts_time_ns[0]:
+        if sample.counts_time_ns[0] == NEVER_NS:
             ports.counts.read_counts(sample.counts[0])  # no counts, no position: raises the device's own error
     flags = flags & ~int(STALE) | stale  # an input that was fresh at one read is alive
     return {

@@ -32,7 +32,7 @@ from rtec.daemon.sign_check import load_stepped
 from rtec.daemon.supervision import fault
 from rtec.daemon.workers import worker_ports
 from rtec.errors import DriverError, RtecError
-from rtec.loop.clock import RealClock
+from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.ports import IntArray, OneWay
@@ -166,7 +166,9 @@ class _Making:
 REHEARSAL_CYCLES = 100
 LONGEST_REHEARSED_NS = 10_000_000
 """Limit of the rehearsal's period, ns, so that a slow loop begins within a second or so."""
-FIRST_TRIES = 5
+FIRST_COUNTS_S, TRY_S = 1.0, 0.01
+"""Longest wait, s, for the counts of a device that sends them by itself, and between two tries. Without them nobody knows
+whether an axis has moved since the run before, and its direction is lost."""
 DISK_SLACK_S = 1.0
 """Largest age of the copy on disk, s (the limit of `[run] flush_s`)."""
 SWITCH_INTERVAL_S = 5e-5
@@ -229,7 +231,7 @@ def _run(task: LoopTask, pipe: Connection) -> dict[str, Any]:
         rows = bind_rows(step, ring.slots)
         here = make_devices(setup, clock)  # all of them, so that all faults of the run file are reported together
         ports = open_ports(setup, {**here, **worker_ports(task.workers, setup.machine, clock)}, stack)
-        at_start = _at_start(task.places, image, setup, ports, step)
+        at_start = _at_start(task.places, image, setup, ports, step, clock)
         start = recover(step, at_start)
         loop = Loop(step, ports, clock, setup.period_ns, rows, start.mode)
         if start.waits:
@@ -250,7 +252,9 @@ def _run(task: LoopTask, pipe: Connection) -> dict[str, Any]:
         return summary(loop)
 
 
-def _at_start(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step) -> AtStart:
+def _at_start(
+    places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step, clock: Clock
+) -> AtStart:
     """Kept state, ledger and counts at the start."""
     in_memory = image.tobytes()
     saved: Saved | None = newest(in_memory)
@@ -267,7 +271,7 @@ def _at_start(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports
         new_boot=new_boot,
         slack_s=slack_s,
         output=output if _reports_output(ports, output) else None,
-        counts=counts if _counted(ports, counts) else None,
+        counts=counts if saved is not None and first_counts(ports, counts, clock) else None,
         start_mode=MODES_BY_NAME[setup.file.run.mode],
         damaged=_damaged(damaged),
         one_way=isinstance(ports.actuator, OneWay),
@@ -289,14 +293,18 @@ def _reports_output(ports: Ports, output: IntArray) -> bool:
     return True
 
 
-def _counted(ports: Ports, counts: IntArray) -> bool:
-    for _ in range(FIRST_TRIES):
+def first_counts(ports: Ports, counts: IntArray, clock: Clock) -> bool:
+    """Read the counts, and wait for a device that sends them by itself; were there any?"""
+    end_ns = clock.now_ns() + round(FIRST_COUNTS_S * 1e9)
+    while True:
         try:
             ports.counts.read_counts(counts)
         except DriverError:
-            continue
-        return True
-    return False
+            if clock.now_ns() >= end_ns:
+                return False
+            clock.sleep_until_ns(clock.now_ns() + round(TRY_S * 1e9))
+        else:
+            return True
 
 
 def _ready(step: Step, start: Start, warnings: list[str]) -> dict[str, Any]:

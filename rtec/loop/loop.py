@@ -20,7 +20,7 @@ from rtec.loop.clock import Clock
 from rtec.loop.devices import Ports
 from rtec.loop.output import CommandGate
 from rtec.loop.ports import FloatArray, IntArray
-from rtec.loop.records import Commands, Samples
+from rtec.loop.records import NEVER_NS, Commands, Samples
 from rtec.loop.state import StateWriter
 from rtec.loop.stats import LoopStats, Trouble
 from rtec.loop.step import Step
@@ -71,8 +71,7 @@ class Loop:
         self._counts = np.zeros(len(layout.axes), dtype=np.int64)
         self._degc = np.full(len(layout.sensors), np.nan)
         self._degc_time_ns = np.zeros(len(layout.sensors), dtype=np.int64)
-        # Before the first good reading the counts are as old as the clock itself, which is stale.
-        self._counts_time_ns = -(2**62)
+        self._counts_time_ns = NEVER_NS
         self._spindle_rpm = float("nan")
         self._next = 0
 

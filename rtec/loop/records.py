@@ -6,13 +6,15 @@ Both are held as blocks of n rows, one array a field (structure of arrays), so t
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 
+NEVER_NS: Final = -(2**62)
+"""Instant of counts that no device has given yet; stale on any clock."""
 MODES_BY_NAME = {"off": MODE_OFF, "on": MODE_ON, "hold": MODE_HOLD}
 
 

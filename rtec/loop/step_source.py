@@ -10,6 +10,7 @@ In its templates below, `{name}` lines are replaced by blocks of lines and `<nam
 
 from dataclasses import dataclass
 
+from rtec.loop.records import NEVER_NS
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model.kernel.write import EXTRA_ARRAYS, KernelSource
@@ -74,7 +75,7 @@ def step(
         t = time_ns[n]
         first = started[0] == 0
         if first:
-            started[0] = 1
+            started[0] = int(counts_time_ns[n] != <never>)  # the first counts are no motion
             last[0] = t
         dt = cycle_s(t, last[0], longest[0])
         last[0] = t
@@ -223,6 +224,7 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
     }
     words = {
         "axes": str(len(machine.axes)),
+        "never": str(NEVER_NS),
         "active": f"({', '.join(map(str, active))},)",
         "moving": f"({', '.join(map(str, kernel.moving))},)",
         "arrays": ", ".join(kernel.arrays),

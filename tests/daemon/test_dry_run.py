@@ -10,6 +10,7 @@ from rtec.cli.main import status
 from rtec.daemon.dry_run import dry_run
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import VirtualClock
+from rtec.loop.run_file import load_setup
 from rtec_drivers.sim import SimDriver
 from tests.support import setups
 from tests.support.doctor_rig import run_file, sim
@@ -103,3 +104,30 @@ def test_without_any_counts_no_position_is_made_up(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(SimDriver, "read_counts", silent)
     with pytest.raises(DriverTimeout, match="no answer within 1 ms"):
         dry_run(setups.setup(tmp_path), VirtualClock(1))
+
+
+def test_the_first_counts_of_a_device_are_no_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A readout sends its first line after 60 ms. Oracle: the same machine, at rest, of which the first read has the
+    counts; a motion from 0 would add half of the play of 4 µm."""
+    read, at_rest = SimDriver.read_counts, setups.tables(tmp_path)
+    del at_rest["device"]["box"]["program"]
+
+    def found(fails: int) -> dict[str, Any]:
+        tries: list[int] = []
+
+        def late(self: SimDriver, counts: Any) -> int:
+            tries.append(1)
+            if len(tries) <= fails:
+                raise DriverTimeout("no line yet")
+            at_ns = read(self, counts)
+            counts[:] += 60_000
+            return at_ns
+
+        monkeypatch.setattr(SimDriver, "read_counts", late)
+        out = dry_run(load_setup(setups.write(tmp_path, at_rest)), VirtualClock(1))
+        assert len(tries) > fails
+        return out
+
+    wanted, later = found(0), found(4)
+    assert wanted["inputs"][0][:2] == later["inputs"][0][:2]
+    assert later["requested_um"]["X"] == pytest.approx(wanted["requested_um"]["X"], abs=0.1)

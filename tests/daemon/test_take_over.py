@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_ON, MODE_TAKEN_OVER, OUTPUT_TROUBLE, Flag
 from rtec.correction.sinks import Sink
-from rtec.errors import DriverUnavailable
+from rtec.daemon.fastpath import first_counts
+from rtec.errors import DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports
 from rtec.loop.loop import Loop, bind_rows
@@ -103,3 +104,24 @@ def test_one_that_lost_its_ledger_meanwhile_is_waited_with(tmp_path: Path) -> No
     assert "the actuator has [0, 0], the run before left [42, -31]" in reason
     loop.order_resume()
     assert loop.stats.reasons() == {}
+
+
+class _Silent(LateBox):
+    """Sends its first counts at 0.5 s."""
+
+    def read_counts(self, counts: Ints) -> int:
+        if self.clock.now_ns() < 500_000_000:
+            raise DriverTimeout("no line yet")
+        counts[:] = [7, 8]
+        return self.clock.now_ns()
+
+
+def test_a_start_waits_for_the_first_counts_of_a_device_that_sends_them_by_itself() -> None:
+    """Without them every axis would have lost its direction. Oracle: the instants on the virtual clock."""
+    for begin_ns, there in ((0, True), (-2_000_000_000, False)):
+        clock, counts = VirtualClock(begin_ns), np.zeros(2, np.int64)
+        box = _Silent(clock, (0, 0), 0)
+        ports = Ports(box, (), None, box, {})
+        assert first_counts(ports, counts, clock) == there
+        assert counts.tolist() == ([7, 8] if there else [0, 0])
+        assert clock.now_ns() == (500_000_000 if there else begin_ns + 1_000_000_000)

@@ -13,7 +13,7 @@ from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON, Flag, GuardSetti
 from rtec.correction.sinks import FollowingErrorSink, PhaseSink, PulseSink
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
-from rtec.loop.records import Commands, Samples
+from rtec.loop.records import NEVER_NS, Commands, Samples
 from rtec.loop.step import Step, StepSettings
 from rtec.machine import machine_from
 from rtec.model import FittedEffect, Model
@@ -112,6 +112,19 @@ def test_singles_equal_a_batch_bit_for_bit() -> None:
     batch = many.run(data)
     for i, single in enumerate(data.singles()):
         assert same(one.run(single), batch.rows(i, i + 1)), f"row {i}"
+
+
+def test_counts_that_were_never_read_are_no_position() -> None:
+    """A device gives its first counts after 40 cycles. Oracle: a step that begins with them: the same requests, so no
+    direction from the way between 0 and the first counts."""
+    late, whole = Step(settings(SLOW)), Step(settings(SLOW))
+    data = samples(300, late)
+    data.counts[:], data.degc[:] = data.counts[0], data.degc[0]  # at rest
+    wanted = whole.run(data.rows(40, 300))
+    data.counts[:40], data.counts_time_ns[:40] = 0, NEVER_NS
+    found = late.run(data).rows(40, 300)
+    np.testing.assert_allclose(found.requested_um, wanted.requested_um, atol=1e-9)
+    assert np.abs(late.state.floats[late.source.floats.at["d"]]).max() == 0.0
 
 
 def test_advance_is_pure() -> None:

@@ -218,7 +218,8 @@ def residuals(
     ]
     places = _searched(model, axis.name, *axis.travel_mm, FEW)
     if second:
-        across = _searched(model, second.name, *second.travel_mm, FEW)
+        across = _some(_searched(model, second.name, *second.travel_mm, FEW))
+        places = _some(places)
         at[second.name], places = np.repeat(across, len(places)), np.tile(places, len(across))
     for name, (low, high) in _ranges(model, machine, axis).items():
         if name == table.second or (not slow and name not in machine.axis_names):
@@ -345,6 +346,11 @@ def _searched(model: Model, channel: str, low: float, high: float, count: int) -
     ]
     between = low + (high - low) * (GOLDEN * np.arange(count) % 1.0)
     return np.unique(np.clip(np.r_[low, high, knots, between], low, high))
+
+
+def _some(places: Floats) -> Floats:
+    """A dozen of the places, with both ends: enough for each axis of a plane."""
+    return places[np.linspace(0, len(places) - 1, min(len(places), 12)).astype(np.intp)]
 
 
 def _ranges(model: Model, machine: Machine, axis: Axis) -> dict[str, tuple[float, float]]:
