@@ -6,7 +6,9 @@ JSON text keeps its meaning.
 """
 
 import json
+import re
 import unicodedata
+from collections.abc import Iterable
 
 
 def clean(text: str) -> str:
@@ -17,6 +19,17 @@ def clean(text: str) -> str:
 def clean_lines(text: str) -> str:
     """A text of several lines, each of them cleaned."""
     return "\n".join(map(clean, text.split("\n")))
+
+
+def joined(texts: Iterable[str]) -> str:
+    """Texts of clauses as one, each clause once: "a; b" and "c; b again" are "a; c; b again"."""
+    clauses = list(dict.fromkeys("; ".join(texts).split("; ")))
+    return "; ".join(c for c in clauses if not any(o != c and o.startswith(c) for o in clauses))
+
+
+def without_numbers(text: str) -> str:
+    """A text without its numbers: two that differ by a time or a value alone say the same."""
+    return re.sub(r"[-+]?\d+(\.\d+)?", "", text)
 
 
 def _shown(character: str) -> str:

@@ -14,6 +14,8 @@ from rich.text import Text
 
 from rtec.cli.common import Json, print_json
 from rtec.cli.screen import Console
+from rtec.control.facts import um_text
+from rtec.text import joined
 
 if TYPE_CHECKING:
     from rtec.daemon.supervisor import Report, Status
@@ -79,7 +81,7 @@ class RunScreen:
         of = f" of {self._duration_s:g}" if self._duration_s else ""
         text = f"{status.time_s:.0f}{of} s   {status.cycles} cycles, {status.misses} deadlines missed   Ctrl-C ends"
         why = "   ".join(status.reasons)
-        wrong = [f"device {name}: {'; '.join(texts)}" for name, texts in status.devices.items()]
+        wrong = [f"device {name}: {joined(texts)}" for name, texts in status.devices.items()]
         wrong += [f"{name}: {text}" for name, text in status.parts.items()]
         lines = "".join(f"\n{line}" for line in (*wrong, status.reload, status.log) if line)
         return Text.assemble(text, ("\n" + why if why else "", "bold yellow"), (lines, "bold red"))
@@ -137,7 +139,7 @@ def show_dry_run(setup: "Setup", found: dict[str, Any]) -> None:
         table.add_row(name, value, age)
     console.print(table)
     for axis, um in found["requested_um"].items():
-        console.print(f"axis {axis}: the model would ask for {um + 0.0:+.2f} µm", highlight=False)  # no -0.00
+        console.print(f"axis {axis}: the model would ask for {um_text(um)} µm", highlight=False)
     for reason in found["reasons"]:
         console.print(f"would hold: {reason}", style="yellow")
     for trouble in found["troubles"]:
@@ -155,8 +157,8 @@ def _axes(status: "Status", largest_um: dict[str, float] | None = None) -> Table
     for axis in status.applied_um:
         row = [
             axis,
-            f"{status.requested_um[axis]:+.2f}",
-            f"{status.applied_um[axis]:+.2f}",
+            um_text(status.requested_um[axis]),
+            um_text(status.applied_um[axis]),
             f"{status.output[axis]:+d}",
         ]
         table.add_row(*row, *([f"{largest_um[axis]:.2f}"] if largest_um else []))

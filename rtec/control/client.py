@@ -16,13 +16,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
-from rtec.control.facts import held, um_text
+from rtec.control.facts import headline, held, um_text
 from rtec.control.messages import RequestError, Role, may_be_text, read_answer, request
 from rtec.control.places import all_of, answers, of_config
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.loop.records import MODES_BY_NAME
+from rtec.text import joined
 
 WAIT_S: Final = 5.0
 SSH_WAIT_S: Final = 20.0
@@ -302,7 +303,7 @@ def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], af
 
 def _kept(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
     """Result of an order that was carried out and must survive a power cut: is it on disk? None: not yet."""
-    text = _mode_text(order, status)
+    text = _mode_text(order, status) if after.get("actuator", True) else "; ".join(headline(after)[1:])
     if order not in KEPT or status["kept_mode"] == status["mode"]:
         return Outcome(True, text, after)
     if status["kept_mode"] is None:
@@ -322,7 +323,7 @@ def _mode_text(order: Order, status: dict[str, Any]) -> str:
 def _resumed(before: dict[str, Any], status: dict[str, Any], after: dict[str, Any]) -> Outcome | None:
     if status["takeovers"] == before["takeovers"]:
         return None
-    wrong = [f"{name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
+    wrong = [f"{name}: {joined(texts)}" for name, texts in status["devices"].items()]
     if wrong:
         return Outcome(False, f"resumed, but {' | '.join(wrong)}", after)
     return Outcome(True, "the devices go on from where they are", after)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from rtec.text import joined
+
 STALLED_S: Final = 1.0
 """Largest age, s, of the newest row of a loop that runs."""
 _UNITS: Final = {"um": "µm", "urad": "µrad"}
@@ -48,18 +50,18 @@ def input_rows(report: Mapping[str, Any]) -> list[list[str]]:
 
 def headline(report: Mapping[str, Any]) -> list[str]:
     """Sentences above the tables."""
-    status = report["status"]
-    return [
-        f"{report['machine']}, model {report['model']}, {report['config']}",
-        _mode_line(status),
-    ]
+    lines = [f"{report['machine']}, model {report['model']}, {report['config']}", _mode_line(report)]
+    if tables := report.get("tables"):
+        follow = "are rewritten as the model predicts" if report["status"]["mode"] == "on" else "stay as they are"
+        lines.append(f"the tables {follow}: {', '.join(f'{key} in {path}' for key, path in tables.items())}")
+    return lines
 
 
 def held(status: Mapping[str, Any]) -> str:
     """Why the correction does not follow the model although that is ordered, in words; "" where it does."""
     if status["mode"] != "on" or "HELD" not in status["flags"]:
         return ""
-    devices = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
+    devices = [f"device {name}: {joined(texts)}" for name, texts in status["devices"].items()]
     return "; ".join([*devices, *status["reasons"]]) or "no reason is given"
 
 
@@ -72,7 +74,10 @@ def state_word(status: Mapping[str, Any]) -> tuple[str, str]:
     return status["mode"] or "starting", ""
 
 
-def _mode_line(status: Mapping[str, Any]) -> str:
+def _mode_line(report: Mapping[str, Any]) -> str:
+    status = report["status"]
+    if not report.get("actuator", True):
+        return f"mode {status['mode'] or 'starting'}; without an actuator the loop commands nothing"
     if held(status):
         return "mode on is ordered, but the correction stays where it is: see why"
     return f"mode {_MODES.get(status['mode'], status['mode'])}"
@@ -118,7 +123,7 @@ def _residual(residual: Mapping[str, Any]) -> list[str]:
 def troubles(report: Mapping[str, Any]) -> list[str]:
     """Present faults, a line each."""
     status = report["status"]
-    lines = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
+    lines = [f"device {name}: {joined(texts)}" for name, texts in status["devices"].items()]
     lines += [f"{name}: {text}" for name, text in status["parts"].items()]
     if status["log"]:
         lines.append(f"log: {status['log']}")
@@ -129,7 +134,7 @@ def troubles(report: Mapping[str, Any]) -> list[str]:
 
 def um_text(value: float | None) -> str:
     """A correction in words; null, which stands for NaN, as "not known"."""
-    return "not known" if value is None else f"{value:+.2f}"
+    return "not known" if value is None else f"{round(value, 2) + 0.0:+.2f}"  # no -0.00
 
 
 def _age(seconds: float) -> str:

@@ -362,6 +362,8 @@ def _origin(setup: Setup) -> dict[str, Any]:
         "axes": list(setup.machine.axis_names),
         "sensors": list(setup.machine.sensor_names),
         "rate_hz": setup.file.run.rate_hz,
+        "actuator": setup.file.role.actuator is not None,
+        "tables": {key: str(path) for key, path in setup.file.table.files.items()} if setup.file.table else {},
         "pid": os.getpid(),
         "started": wall_clock_iso(),
     }

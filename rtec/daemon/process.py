@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Final, Self
 from rtec.correction.flags import Flag
 from rtec.daemon.status import Status
 from rtec.loop.clock import Clock
+from rtec.text import joined
 
 if TYPE_CHECKING:
     from rtec.loop.run_file import Realtime
@@ -221,7 +222,7 @@ def _words(status: Status) -> str:
     """One line for `systemctl status`."""
     if not status.cycles:
         return "starting"
-    wrong = [f"{name}: {'; '.join(texts)}" for name, texts in status.devices.items()]
+    wrong = [f"{name}: {joined(texts)}" for name, texts in status.devices.items()]
     wrong += [f"{name}: {text}" for name, text in status.parts.items()]
     parts = [f"correction {status.mode}", *status.reasons, *wrong, status.log]
     return "; ".join(part.replace("\n", " ") for part in parts if part)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
-from rtec.loop.output import HOLDS, lost
+from rtec.loop.output import HOLDS, in_words, lost
 from rtec.loop.state import Saved, structure_of, units_of
 from rtec.loop.step import Step
 
@@ -90,7 +90,7 @@ def recover(step: Step, at_start: AtStart) -> Start:
         mode = at_start.start_mode
     waits = _why_wait(step, at_start, saved, output)
     expected = saved.output if at_start.output is None and not waits else None
-    return Start(output, mode, waits, [_note(saved, output, mode)], saved.sequence, expected)
+    return Start(output, mode, waits, [_note(step, saved, output, mode)], saved.sequence, expected)
 
 
 def _without_run_before(step: Step, at_start: AtStart) -> Start:
@@ -122,7 +122,7 @@ def _why_wait(step: Step, at_start: AtStart, saved: Saved, output: IntArray) -> 
     """Why an order is needed; "" where it is not."""
     if saved.waits:
         return f"the run before was stopped while it waited for an order to resume; {HOLDS}"
-    return lost(saved.output, output, allowed(step, at_start.slack_s))
+    return lost(step, saved.output, output, allowed(step, at_start.slack_s))
 
 
 def allowed(step: Step, slack_s: float) -> IntArray:
@@ -130,9 +130,9 @@ def allowed(step: Step, slack_s: float) -> IntArray:
     return np.asarray(step.units_in(slack_s) + step.constants("quantum"), np.int64)
 
 
-def _note(saved: Saved, output: IntArray, mode: int) -> str:
+def _note(step: Step, saved: Saved, output: IntArray, mode: int) -> str:
     names = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold"}
     return (
-        f"the run before did not end in order: its ledger {output.tolist()} and mode {names[mode]!r} were taken over "
-        f"(it had told {saved.output.tolist()})"
+        f"the run before did not end in order: its ledger ({in_words(step, output)}) and mode {names[mode]!r} were "
+        f"taken over (it had told {in_words(step, saved.output)})"
     )

@@ -14,6 +14,7 @@ import numpy as np
 from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.ring import Ring
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
+from rtec.text import joined, without_numbers
 
 
 @dataclass
@@ -104,6 +105,10 @@ MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
 class RowWatch:
     """Accumulates status and report from the rows.
 
+    Args:
+        layout: axes and sensors.
+        without: flags that are no news: a run without an actuator is always off.
+
     Attributes:
         status: of the newest row.
         rows: number of rows so far.
@@ -111,8 +116,9 @@ class RowWatch:
         newest: the newest row; None before the first.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, without: Flag = Flag(0)) -> None:  # noqa: B008 (a number)
         self.layout, self.status, self.rows = layout, Status(), 0
+        self._looked_at = ~int(without)
         self.newest: Samples | None = None
         self._first_ns: int | None = None
         self._flag_counts = np.zeros(len(Flag), dtype=np.int64)
@@ -125,8 +131,9 @@ class RowWatch:
             self._first_ns = int(samples.time_ns[0])
         self.rows += len(samples)
         self.newest = samples.rows(len(samples) - 1, len(samples))
-        self._flag_counts += [np.count_nonzero(commands.flags & int(flag)) for flag in Flag]
-        self._passed |= Flag(int(np.bitwise_or.reduce(commands.flags)))
+        flags = commands.flags & self._looked_at
+        self._flag_counts += [np.count_nonzero(flags & int(flag)) for flag in Flag]
+        self._passed |= Flag(int(np.bitwise_or.reduce(flags)))
         self._largest = np.maximum(self._largest, np.abs(commands.applied_um).max(axis=0))
         axes, sensors = self.layout.axes, self.layout.sensors
         now_ns = int(samples.time_ns[-1])
@@ -142,7 +149,7 @@ class RowWatch:
             output=dict(zip(axes, commands.output[-1].tolist(), strict=True)),
             counts=dict(zip(axes, samples.counts[-1].tolist(), strict=True)),
             counts_age_s=(now_ns - int(samples.counts_time_ns[-1])) * NS,
-            flags=Flag(int(commands.flags[-1])),
+            flags=Flag(int(flags[-1])),
             degc=dict(zip(sensors, samples.degc[-1].tolist(), strict=True)),
             degc_age_s=dict(zip(sensors, degc_age_s.tolist(), strict=True)),
             spindle_rpm=float(samples.spindle_rpm[-1]),
@@ -182,15 +189,20 @@ QUIET_NS: Final = 10_000_000_000
 Tell = Callable[[str, str], None]
 
 
+MOST_REASONS: Final = 5
+"""An alarm tells so many different reasons at most."""
+
+
 @dataclass
 class _Alarm:
-    text: str
     since_ns: int
     last_ns: int
+    texts: dict[str, str] = field(default_factory=dict)
+    """By what they say but for numbers, such as a time that grows."""
 
 
 class Alarms:
-    """Reports each alarm when it begins, and when it has been over for some seconds.
+    """Reports each alarm when it begins, when it has another reason, and when it has been over for some seconds.
 
     Args:
         tell: called with the kind of event, "alarm" or "alarm over", and a text.
@@ -213,19 +225,19 @@ class Alarms:
         if now_ns - self._first_ns < START_NS:
             return
         for key, text in _wrong(passed & ~ORDERED, devices).items():
-            if key in self._going_on:
-                self._going_on[key].last_ns = now_ns
-            else:
-                self._going_on[key] = _Alarm(text, now_ns, now_ns)
+            alarm = self._going_on.setdefault(key, _Alarm(now_ns, now_ns))
+            alarm.last_ns, says = now_ns, without_numbers(text)
+            if says not in alarm.texts and len(alarm.texts) < MOST_REASONS:
+                alarm.texts[says] = text
                 self._tell("alarm", text)
         for key, alarm in list(self._going_on.items()):
             if now_ns - alarm.last_ns >= QUIET_NS:
                 del self._going_on[key]
                 lasted_s = (alarm.last_ns - alarm.since_ns) * 1e-9
-                self._tell("alarm over", f"{alarm.text}; it lasted {lasted_s:.1f} s")
+                self._tell("alarm over", f"{'; then '.join(alarm.texts.values())}; it lasted {lasted_s:.1f} s")
 
 
 def _wrong(flags: Flag, devices: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Texts by device and role: a text with a growing time is still one alarm."""
     out = {f"flag {flag.name}": text for flag, text in REASONS.items() if flag in flags}
-    return out | {f"device {name}": f"device {name}: {'; '.join(texts)}" for name, texts in devices.items()}
+    return out | {f"device {name}": f"device {name}: {joined(texts)}" for name, texts in devices.items()}

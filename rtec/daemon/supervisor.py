@@ -15,6 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
+from rtec.correction.flags import Flag
 from rtec.daemon.disk import MOST_SECONDS, DiskThread, Keeper, log_folder, new_log
 from rtec.daemon.fastpath import LoopTask, fast_path
 from rtec.daemon.process import Notifier, child_context, signals, signals_wait
@@ -87,7 +88,7 @@ class Supervisor:
         self._on_event = on_event or (lambda _: None)
         self._clock = RealClock()
         self._notifier = Notifier.from_environment(os.environ, self._clock)
-        self._watch = RowWatch(self.layout)
+        self._watch = RowWatch(self.layout, Flag(0) if setup.file.role.actuator else Flag.ORDERED_OFF)
         self._recording = Recording(log_path, self._clock, self._new_log, self.warnings)
         self.events = Events(events_path(log_path))
         self.parts = DaemonParts(self._clock, self.note)

@@ -5,7 +5,6 @@ prediction differs from it by enough, and limits the change of each value. While
 temperature is stale or outside the model's range, the files stay unchanged, and the events have the reason.
 """
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final, Self
@@ -30,6 +29,7 @@ from rtec.errors import ConfigError, RtecError
 from rtec.files import write_text
 from rtec.loop.run_file import Setup, TableRewrites
 from rtec.model import Model
+from rtec.text import without_numbers
 
 LOOK_S: Final = 1.0
 LEAST_S: Final = 10.0
@@ -193,7 +193,7 @@ class TableKeeper:
 
     def _is_new(self, about: str, text: str) -> bool:
         """Does the text differ from the last one? Differences in numbers do not count."""
-        plain = re.sub(r"[-+]?\d+(\.\d+)?", "", text)
+        plain = without_numbers(text)
         before, self._last_texts[about] = self._last_texts.get(about, ""), plain
         return before != plain
 

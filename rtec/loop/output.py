@@ -28,12 +28,19 @@ PATIENCE_NS: Final = 250_000_000
 HOLDS: Final = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
 
 
-def lost(expected: IntArray, has: IntArray, allowed: IntArray, source: str = "the run before left") -> str:
+def in_words(step: Step, output: IntArray) -> str:
+    """An output for people: each axis that is corrected, in µm."""
+    per_um = step.constants("per_um")
+    axes = zip(step.layout.axes, output.tolist(), per_um.tolist(), strict=True)
+    return ", ".join(f"{axis} {units / scale + 0.0:+.2f} µm" for axis, units, scale in axes if scale)
+
+
+def lost(step: Step, expected: IntArray, has: IntArray, allowed: IntArray, source: str = "the run before left") -> str:
     """Message on an actuator whose ledger differs from the expected one by more than allowed; else ""."""
     if (np.abs(has - expected) <= allowed).all():
         return ""
     return (
-        f"the actuator has {has.tolist()}, {source} {expected.tolist()}: it restarted, and its counts "
+        f"the actuator has {in_words(step, has)}, {source} {in_words(step, expected)}: it restarted, and its output "
         f"may mean something else now; {HOLDS}"
     )
 
@@ -113,12 +120,14 @@ class CommandGate:
         if self._unconfirmed_ns is None:
             self._unconfirmed_ns = now_ns
         for_ns = now_ns - self._unconfirmed_ns
-        changed = lost(last, self.has, step.units_in(self._period_s), "the last command was")
+        changed = lost(step, last, self.has, step.units_in(self._period_s), "the last command was")
         self._far = bool(changed)
         if not self._failed and not self._in_trouble and for_ns <= PATIENCE_NS:
             return order | OUTPUT_UNCONFIRMED
         if not self._failed:
-            self._trouble.failed(f"has {self.has.tolist()}, {for_ns * 1e-9:.1f} s after the command {last.tolist()}")
+            self._trouble.failed(
+                f"has {in_words(step, self.has)}, {for_ns * 1e-9:.1f} s after the command {in_words(step, last)}"
+            )
         begins, self._in_trouble = not self._in_trouble, True
         if changed:
             self._waiting.failed(changed)
@@ -145,7 +154,7 @@ class CommandGate:
         self.takes_over = self._failed = False
         self._well()
         if self._expected is not None and self._allowed is not None:
-            why = lost(self._expected, self.has, self._allowed)
+            why = lost(step, self._expected, self.has, self._allowed)
             if why:
                 self._waiting.failed(why)
         return MODE_TAKEN_OVER

@@ -13,7 +13,7 @@ import pytest
 
 from rtec.control.client import carry_out
 from rtec.control.desk import Desk
-from rtec.control.facts import axis_rows, footer, headline, held, troubles, well
+from rtec.control.facts import axis_rows, footer, headline, held, troubles, um_text, well
 from rtec.control.residual import LARGEST_BYTES, Residual
 from rtec.diagnosis.compare.compare import compare
 from rtec.loop.clock import VirtualClock
@@ -167,6 +167,23 @@ def test_on_while_it_holds_is_not_called_following(daemon: FakeDaemon) -> None:
     assert held(stuck["status"]) == "device box: silent; counts are stale"
     ordered = {**stuck, "status": {**stuck["status"], "mode": "hold"}}
     assert headline(ordered)[1] == "mode hold: the correction stays where it is"
+
+
+def test_a_run_of_tables_alone_says_what_is_true(daemon: FakeDaemon) -> None:
+    """Nothing follows the model but the files. Oracle: the mode, and the files of the run file."""
+    origin = {"machine": "mill", "config": "mill.toml", "actuator": False, "tables": {"X": "/etc/x.comp"}}
+    fresh = Desk(daemon, VirtualClock(1_000_000_001), origin).status()
+    assert headline(fresh)[1:] == [
+        "mode on; without an actuator the loop commands nothing",
+        "the tables are rewritten as the model predicts: X in /etc/x.comp",
+    ]
+    ordered = {**fresh, "status": {**fresh["status"], "mode": "hold"}}
+    assert headline(ordered)[2] == "the tables stay as they are: X in /etc/x.comp"
+
+
+@pytest.mark.parametrize(("um", "shown"), [(-0.001, "+0.00"), (-0.0, "+0.00"), (-0.006, "-0.01"), (None, "not known")])
+def test_no_correction_is_minus_nothing(um: float | None, shown: str) -> None:
+    assert um_text(um) == shown
 
 
 class Answers:

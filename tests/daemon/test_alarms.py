@@ -4,7 +4,8 @@ import threading
 
 from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.process import WAITING, LinePrinter
-from rtec.daemon.status import QUIET_NS, START_NS, Alarms
+from rtec.daemon.status import MOST_REASONS, QUIET_NS, START_NS, Alarms
+from rtec.text import joined
 
 S = 1_000_000_000
 FIRST = 1 + START_NS
@@ -60,3 +61,30 @@ def test_whoever_does_not_listen_keeps_nobody_waiting() -> None:
         go.set()
     assert said[:2] == ["0", "1"]
     assert WAITING <= len(said) <= WAITING + 1
+
+
+def test_another_reason_of_one_device_is_told_once() -> None:
+    """No answer for 3 s, then a value that no sensor has, and no answer again: two reasons, one alarm."""
+    made, told = alarms()
+    for k, text in enumerate(["no answer for 1 s", "no answer for 2 s", "T reads 3276.7", "no answer for 4 s"]):
+        made.look(FIRST + k * S, Flag(0), {"thermo": [text]})
+    assert told == [("alarm", "device thermo: no answer for 1 s"), ("alarm", "device thermo: T reads 3276.7")]
+    made.look(FIRST + 3 * S + QUIET_NS, Flag(0), {})
+    assert told[2:] == [
+        ("alarm over", "device thermo: no answer for 1 s; then device thermo: T reads 3276.7; it lasted 3.0 s")
+    ]
+
+
+def test_reasons_without_end_are_no_flood() -> None:
+    """A device that says something else each second. Oracle: the limit."""
+    made, told = alarms()
+    for k in range(20):
+        made.look(FIRST + k * S, Flag(0), {"odd": ["x" * k]})
+    assert len(told) == MOST_REASONS
+
+
+def test_a_clause_of_two_reasons_is_said_once() -> None:
+    assert joined(["lost; it holds", "far away; it holds (`resume`)"]) == "lost; far away; it holds (`resume`)"
+    made, told = alarms()
+    made.look(FIRST, Flag(0), {"box": ["lost; it holds", "far away; it holds"]})
+    assert told == [("alarm", "device box: lost; it holds; far away")]

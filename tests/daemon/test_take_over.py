@@ -101,7 +101,7 @@ def test_one_that_lost_its_ledger_meanwhile_is_waited_with(tmp_path: Path) -> No
     assert {tuple(told) for _, told in box.told} == {(0, 0)}
     assert loop.waits
     (reason,) = loop.stats.reasons()["box"]
-    assert "the actuator has [0, 0], the run before left [42, -31]" in reason
+    assert "the actuator has X +0.00 µm, Z +0.00 µm, the run before left X -21.00 µm, Z +15.50 µm" in reason
     loop.order_resume()
     assert loop.stats.reasons() == {}
 

@@ -245,7 +245,7 @@ def test_an_axis_that_moved_has_no_direction(step: Step) -> None:
 def test_an_actuator_that_lost_its_ledger_waits(step: Step) -> None:
     saved = saved_of(step, output=(120, -44))
     start = recover(step, found(saved, output=np.array([0, 0])))
-    assert "the actuator has [0, 0], the run before left [120, -44]" in start.waits
+    assert "the actuator has X +0.00 µm, Z +0.00 µm, the run before left X -60.00 µm, Z +22.00 µm" in start.waits
     assert start.output.tolist() == [0, 0]
     near = recover(step, found(saved, output=np.array([121, -44])))
     assert near.waits == ""
