@@ -7,7 +7,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -22,8 +22,9 @@ MAX_BYTES = 64 * 1024 * 1024
 DEEPEST = 32
 """Largest depth of tables within tables; no file of rtec has more than seven."""
 ENDLESS_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){%d}" % (DEEPEST + 1))  # noqa: UP031 (braces)
-MOST_NEAR, NEARLY = 6, 0.05
-"""Largest number of words proposed for a mistyped one; and how much less similar than the best they may be."""
+MOST_NEAR, LIKE, NEARLY = 6, 0.6, 0.05
+"""Largest number of words proposed for a mistyped one; how similar they are at least, whatever the case; and how much
+less than the best."""
 OUT_OF_RANGE = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 
 
@@ -121,8 +122,8 @@ def nearest(word: str, allowed: typing.Iterable[str]) -> str:
     Gives several if they are nearly as close as the closest: T_nut may be T_x_nut or T_z_nut.
     """
     names = sorted(allowed)
-    close = difflib.get_close_matches(word, names, n=MOST_NEAR, cutoff=0.6)
-    likeness = {name: difflib.SequenceMatcher(None, name, word).ratio() for name in close}
+    likeness = {name: difflib.SequenceMatcher(None, name.lower(), word.lower()).ratio() for name in names}
+    close = sorted((n for n in names if likeness[n] >= LIKE), key=lambda n: -likeness[n])[:MOST_NEAR]
     near = [repr(name) for name in sorted(close) if likeness[name] > likeness[close[0]] - NEARLY]
     if near:
         return f"; did you mean {', '.join(near[:-1])}{' or ' if near[:-1] else ''}{near[-1]}?"
@@ -130,10 +131,15 @@ def nearest(word: str, allowed: typing.Iterable[str]) -> str:
 
 
 def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str) -> str:
-    loc = _joined(item["loc"])
+    loc = _joined(_without_tags(kind, item["loc"]))
     if item["type"] == "extra_forbidden":
         key = str(loc[-1])
-        return f"{source}: {_section(loc[:-1])}unknown key {key!r}{nearest(key, _keys_at(kind, loc[:-1]))}"
+        return f"{source}: {_section(loc[:-1])}unknown key {key!r}{nearest(key, _keys_at(kind, item['loc'][:-1]))}"
+    if item["type"].startswith("union_tag"):
+        tag, allowed = item["ctx"].get("tag"), item["ctx"].get("expected_tags", "")
+        key = item["ctx"]["discriminator"].strip("'")
+        said = f"{key}: must be one of {allowed}, found {tag!r}" if tag else f"key {key!r} is missing"
+        return f"{source}: {_section(loc)}{said}"
     if item["type"] == "missing" and isinstance(item["loc"][-1], int):
         return f"{source}: {_section(loc[:-1])}{loc[-1]}: is missing"
     if item["type"] == "missing":
@@ -157,6 +163,18 @@ def _joined(loc: tuple[Any, ...]) -> tuple[Any, ...]:
     return (*loc[: key - 1], str(loc[key - 1]) + "".join(f"[{i}]" for i in loc[key:])) if loc else ()
 
 
+def _without_tags(kind: Any, loc: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A place without the tags that a tagged union puts into it; they are no keys."""
+    return tuple(part for i, part in enumerate(loc) if not _tagged(_models_at(kind, loc[:i]), part))
+
+
+def _tagged(models: Sequence[Any], part: Any) -> list[Any]:
+    """The members of a union that have this tag; empty where it is a key."""
+    if len(models) < 2 or any(part in model.model_fields for model in models):
+        return []
+    return [m for m in models if any(part in get_args(f.annotation) for f in m.model_fields.values())]
+
+
 def _section(loc: tuple[Any, ...]) -> str:
     if not loc:
         return ""
@@ -168,8 +186,12 @@ def _section(loc: tuple[Any, ...]) -> str:
 
 def _keys_at(kind: Any, loc: tuple[Any, ...]) -> set[str]:
     """Keys allowed at a place of a model class."""
-    models = (k for k, _ in _kinds_at(kind, loc) if isinstance(k, type) and issubclass(k, BaseModel))
-    return {field.alias or name for model in models for name, field in model.model_fields.items()}
+    return {field.alias or name for model in _models_at(kind, loc) for name, field in model.model_fields.items()}
+
+
+def _models_at(kind: Any, loc: tuple[Any, ...]) -> list[Any]:
+    """Model classes at a place of a model class."""
+    return [k for k, _ in _kinds_at(kind, loc) if isinstance(k, type) and issubclass(k, BaseModel)]
 
 
 def _range_at(kind: Any, loc: tuple[Any, ...]) -> str:
@@ -187,14 +209,16 @@ def _kinds_at(kind: Any, loc: tuple[Any, ...], limits: tuple[Any, ...] = ()) -> 
     """Types at a place of a model class, each with its bounds; follows dicts, lists, optionals and unions."""
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        for k in arguments:
-            yield from _kinds_at(k, loc, limits)
+        models = [k for k in arguments if isinstance(k, type) and issubclass(k, BaseModel)]
+        tagged = _tagged(models, loc[0]) if loc else []
+        for k in tagged or arguments:
+            yield from _kinds_at(k, loc[1:] if tagged else loc, limits)
     elif origin is typing.Annotated:
         yield from _kinds_at(arguments[0], loc, (*limits, *arguments[1:]))
     elif loc and isinstance(kind, type) and issubclass(kind, BaseModel):
         field = {f.alias or name: f for name, f in kind.model_fields.items()}.get(str(loc[0]))
-        # A tagged union puts its tag into the place; it is no key, so it is skipped.
-        yield from _kinds_at(field.annotation, loc[1:], tuple(field.metadata)) if field else _kinds_at(kind, loc[1:])
+        if field:
+            yield from _kinds_at(field.annotation, loc[1:], tuple(field.metadata))
     elif loc and origin is tuple and isinstance(loc[0], int) and arguments[-1] is not Ellipsis:
         yield from _kinds_at(arguments[min(loc[0], len(arguments) - 1)], loc[1:])
     elif loc and origin in (dict, list, tuple):

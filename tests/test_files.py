@@ -3,11 +3,14 @@
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Annotated, Literal
 
 import pytest
+from pydantic import Field
 
 from rtec.errors import ConfigError, ModelError
 from rtec.files import whole, write_text
+from rtec.tomlfile import Strict, validated
 
 
 def test_it_takes_the_place_of_the_old_one_and_leaves_nothing_beside(tmp_path: Path) -> None:
@@ -62,3 +65,34 @@ def test_many_may_write_one_name(tmp_path: Path) -> None:
         list(pool.map(lambda text: write_text(text, file, ConfigError), texts * 4))
     assert file.read_text() in texts
     assert list(tmp_path.iterdir()) == [file]
+
+
+class Round(Strict):
+    kind: Literal["round"] = "round"
+    radius_mm: float = 1.0
+
+
+class Square(Strict):
+    kind: Literal["square"] = "square"
+    side_mm: float = 1.0
+
+
+class Shapes(Strict):
+    shape: dict[str, Annotated[Round | Square, Field(discriminator="kind")]]
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"kind": "round", "side_mm": 1.0}, "[shape.a] unknown key 'side_mm'; allowed: kind, radius_mm"),
+        ({"kind": "round", "Radius_mm": 1.0}, "[shape.a] unknown key 'Radius_mm'; did you mean 'radius_mm'?"),
+        ({"kind": "round", "radius_mm": "x"}, "[shape.a] radius_mm: Input should be a valid number, found 'x'"),
+        ({"kind": "oval"}, "[shape.a] kind: must be one of 'round', 'square', found 'oval'"),
+        ({"side_mm": 1.0}, "[shape.a] key 'kind' is missing"),
+    ],
+)
+def test_a_table_of_several_kinds_is_named_as_it_is_written(table: dict[str, object], says: str) -> None:
+    """Oracle: the place in the file, and the keys of the kind that is named."""
+    with pytest.raises(ConfigError) as error:
+        validated(Shapes, {"shape": {"a": table}}, "x.toml")
+    assert str(error.value) == f"x.toml: {says}"

@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -62,6 +62,15 @@ def stages(title: str = "starting") -> Iterator[Callable[[str, int, int], None]]
             progress.update(task, description=what, completed=done, total=max(total, 1) if done else None)
 
         yield update
+
+
+def completes(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Completion of a value in the shell, from names that are read only then."""
+
+    def begun(incomplete: str) -> list[str]:
+        return [name for name in names() if name.startswith(incomplete)]
+
+    return begun
 
 
 def print_json(facts: object, *, on_one_line: bool = False) -> None:

@@ -5,11 +5,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtec.cli.common import Json, print_json
+from rtec.cli.common import Json, completes, print_json
 
 if TYPE_CHECKING:
     from rtec.hil import Bench, HilOrder, SoakOrder
     from rtec.report.page import Page
+
+
+def _faults() -> list[str]:
+    from rtec.hil import load_bench
+
+    return ["list", *load_bench().faults()]
 
 
 def hil(
@@ -23,6 +29,7 @@ def hil(
             metavar="NAME@30s[+10s]",
             help="A fault, its begin after the correction is on, its duration; repeatable. `list` lists them.",
             show_default=False,
+            autocompletion=completes(_faults),
         ),
     ] = None,
     off_s: Annotated[

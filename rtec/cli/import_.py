@@ -6,10 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtec.cli.common import Json, print_json
+from rtec.cli.common import Json, completes, print_json
 
 if TYPE_CHECKING:
     from rtec.metrology.importing import Imported, ImportProposal
+
+
+def _readers() -> list[str]:
+    from rtec.metrology.readers.registry import READERS
+
+    return list(READERS)
 
 
 def import_(
@@ -21,7 +27,10 @@ def import_(
         Path | None, typer.Option("-o", "--out", help="NAME, NAME.csv or NAME.parquet; NAME.toml goes beside it.")
     ] = None,
     reader: Annotated[
-        str | None, typer.Option("--as", metavar="READER", help="Reader.", show_default="by content")
+        str | None,
+        typer.Option(
+            "--as", metavar="READER", help="Reader.", show_default="by content", autocompletion=completes(_readers)
+        ),
     ] = None,
     machine: Annotated[
         Path | None, typer.Option("--machine", "-m", help="Machine file: its axes and sensors; checks the result.")

@@ -6,13 +6,28 @@ from typing import Annotated
 
 import typer
 
-from rtec.cli.common import Json, print_json
+from rtec.cli.common import Json, completes, print_json
 from rtec.cli.help import App
+
+
+def _effects() -> list[str]:
+    from rtec.effects import all_effects
+
+    return list(all_effects())
+
+
+def _drivers() -> list[str]:
+    from rtec.loop.driver_info import installed
+
+    return list(installed())
 
 
 def effects(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="One effect, in full.", show_default=False)
+        str | None,
+        typer.Argument(
+            metavar="[NAME]", help="One effect, in full.", show_default=False, autocompletion=completes(_effects)
+        ),
     ] = None,
     figure: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Write the figure of its shape here.", show_default=False)
@@ -47,7 +62,10 @@ def effects(
 
 def drivers(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="One driver, in full.", show_default=False)
+        str | None,
+        typer.Argument(
+            metavar="[NAME]", help="One driver, in full.", show_default=False, autocompletion=completes(_drivers)
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtec.cli.common import Json, print_json, show_page
+from rtec.cli.common import Json, completes, print_json, show_page
 from rtec.cli.help import App, Group
 from rtec.cli.model import MachineFile, ModelFile
 
 if TYPE_CHECKING:
-    from rtec.correction.tables.table import CompensationTable
+    from rtec.correction.tables.table import CompensationTable, TableAxes
     from rtec.model import Model
 
 
@@ -32,8 +32,21 @@ app = App(
 """,
 )
 
-Format = Annotated[str, typer.Option("--format", "-f", help="Format; `rtec table formats` lists them.")]
-AxisName = Annotated[str, typer.Option("--axis", "-a", help="Axis of the table.", show_default=False)]
+
+def _formats() -> list[str]:
+    from rtec.correction.tables import FORMATS
+
+    return list(FORMATS)
+
+
+Format = Annotated[
+    str,
+    typer.Option("--format", "-f", help="Format; `rtec table formats` lists them.", autocompletion=completes(_formats)),
+]
+AxisName = Annotated[
+    str | None,
+    typer.Option("--axis", "-a", help="Axis of the table; not needed where --cross names it.", show_default=False),
+]
 At = Annotated[
     list[str] | None,
     typer.Option(
@@ -49,7 +62,7 @@ Cross = Annotated[
     str | None,
     typer.Option(
         metavar="COMPONENT",
-        help="Table between axes; EYX is the error of Y along X, EZXY that of Z over X and Y.",
+        help="Table between axes, instead of --axis; EYX is the error of Y along X, EZXY that of Z over X and Y.",
         show_default=False,
     ),
 ]
@@ -58,7 +71,8 @@ Cross = Annotated[
 @app.command()
 def write(
     model: ModelFile,
-    axis: AxisName,
+    *,
+    axis: AxisName = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Write the table here.", show_default=False)],
     format_name: Format = "linuxcnc",
     at: At = None,
@@ -72,6 +86,9 @@ def write(
     Positions of axes that `--at` does not name are the middle of their travel.
 
     Example: `rtec table write model.toml --axis X --at T_x_nut=24,T_z_nut=22 --format linuxcnc -o x.comp`
+
+    Example, the error of Z along X: `rtec table write model.toml --cross EZX --at T_x_nut=24,T_z_nut=22 --format
+    siemens-cec -o z_along_x.cec`
     """
     from dataclasses import asdict
 
@@ -102,7 +119,7 @@ def write(
 @app.command()
 def read(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Table.", show_default=False)],
-    axis: AxisName,
+    axis: AxisName = None,
     model: Annotated[Path | None, typer.Option("--model", help="Model to compare with.", show_default=False)] = None,
     format_name: Format = "linuxcnc",
     at: At = None,
@@ -126,11 +143,11 @@ def read(
     except FileNotFoundError as e:
         raise ConfigError(f"{file}: cannot be read as a table: no such file") from e
     if model is None:
-        print_json(_facts(form.read(text, str(file), TableAxes(axis, *_named(axis, cross))), format_name))
+        print_json(_facts(form.read(text, str(file), _named(axis, cross)), format_name))
         return
     loaded = _model(model, machine)
     moved, corrected, second = _axes(loaded, axis, cross)
-    table = form.read(text, str(file), TableAxes(axis, corrected.name, second.name if second else ""))
+    table = form.read(text, str(file), TableAxes(moved.name, corrected.name, second.name if second else ""))
     known = conditions(loaded, moved, _values(at))
     said = table_of(loaded, moved, corrected, table.positions_mm, known, None, second, table.second_mm)
     said = form.limits.zeroed(said)
@@ -175,41 +192,49 @@ def _model(model: Path, machine: Path | None) -> "Model":
     return load_with_machine(model, machine)
 
 
-def _axis(model: "Model", name: str) -> Any:
-    from rtec.errors import ConfigError
-    from rtec.tomlfile import nearest
-
-    if name not in model.machine.axis_names:
-        raise ConfigError(f"--axis: the machine has no axis {name!r}{nearest(name, model.machine.axis_names)}")
-    return model.machine.axis(name)
-
-
-def _axes(model: "Model", axis: str, cross: str | None) -> Any:
+def _axes(model: "Model", axis: str | None, cross: str | None) -> Any:
     """The axis that moves, the one that is corrected, and the second one that moves (or None)."""
     from rtec.correction.tables.predict import table_axes
     from rtec.errors import ConfigError
+    from rtec.tomlfile import nearest
 
-    moved = _axis(model, axis)
+    names = model.machine.axis_names
+    if axis is not None and axis not in names:
+        raise ConfigError(f"--axis: the machine has no axis {axis!r}{nearest(axis, names)}")
     if cross is None:
-        return moved, moved, None
+        return table_axes(model.machine, _needed(axis))
     try:
         first, corrected, second = table_axes(model.machine, cross)
     except ConfigError as e:
         raise ConfigError(f"--cross: {e}") from e
-    if first.name != axis or cross in model.machine.axis_names:
-        raise ConfigError(f"--cross {cross}: --axis {axis} moves: write E, the axis that is wrong, {axis}, as EYX")
-    return moved, corrected, second
+    if axis not in (None, first.name) or first is corrected:
+        says = "is one axis: write --axis" if first is corrected else f"moves {first.name}: leave --axis {axis} out"
+        raise ConfigError(f"--cross {cross} {says}")
+    return first, corrected, second
 
 
-def _named(axis: str, cross: str | None) -> tuple[str, str]:
-    """Names of the corrected axis and of the second one that moves ("" where there is none), without a machine."""
+def _named(axis: str | None, cross: str | None) -> "TableAxes":
+    """Names of the axes of a table, without a machine; those of a plane are letters."""
+    from rtec.correction.tables.table import TableAxes
     from rtec.errors import ConfigError
 
     if cross is None:
-        return axis, ""
-    if len(cross) < 3 or cross[0] != "E" or not cross[2:].startswith(axis):
-        raise ConfigError(f"--cross {cross}: write E, the axis that is wrong, and the one that moves, as EY{axis}")
-    return cross[1], cross[2:].removeprefix(axis)
+        return TableAxes(_needed(axis), _needed(axis))
+    corrected, moved = cross[1:2], cross[2:]
+    first = axis or (moved[:1] if len(moved) == 2 and moved.isalpha() else moved)
+    if cross[:1] != "E" or not first or not moved.startswith(first):
+        raise ConfigError(
+            f"--cross {cross}: write E, the axis that is wrong, and the one that moves, as EY{axis or 'X'}"
+        )
+    return TableAxes(first, corrected, moved.removeprefix(first))
+
+
+def _needed(axis: str | None) -> str:
+    from rtec.errors import ConfigError
+
+    if axis is None:
+        raise ConfigError("--axis: name the axis of the table; or --cross, as EYX for the error of Y along X")
+    return axis
 
 
 def _values(at: list[str] | None) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Compensation tables: what a model predicts, in a controller's format, and back."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,7 +140,10 @@ def test_the_command_writes_reads_and_compares(tmp_path: Path, capsys: pytest.Ca
         (["--axis", "X", "--at", "T_x=26"], "the model reads T_y, T_z"),
         (["--axis", "X", "--at", "T_q=26"], "--at T_q"),
         (["--axis", "X", "--at", "T_x"], "write NAME=NUMBER"),
-        (["--axis", "X", "--at", "T_x=26,T_y=25,T_z=24", "--cross", "EYZ"], "as EYX"),
+        (["--axis", "X", "--at", "T_x=26,T_y=25,T_z=24", "--cross", "EYZ"], "--cross EYZ moves Z: leave --axis X out"),
+        (["--at", "T_x=26,T_y=25,T_z=24", "--cross", "X"], "is one axis: write --axis"),
+        (["--at", "T_x=26,T_y=25,T_z=24"], "name the axis of the table; or --cross, as EYX"),
+        (["--axis", "X", "--at", "T_x=26,y=25"], "did you mean 'Y'?"),
         (["--axis", "X", "--at", "T_x=26,T_y=25,T_z=24", "--format", "linuxnc"], "did you mean 'linuxcnc'"),
     ],
 )
@@ -227,3 +231,25 @@ def test_a_table_beyond_the_models_range_is_said(tmp_path: Path, capsys: pytest.
         assert ("T_x is outside the range of the model (15 to 60): 61" in capsys.readouterr().out) == warned
     narrow = replace(MODEL, valid_range={"x": (-50.0, 100.0)})
     assert beyond(narrow, {}, [X]) == ["X is outside the range of the model (-50 to 100): -100"]
+
+
+@pytest.mark.parametrize(
+    ("component", "axes"),
+    [("EYX", ("X", "Y", "")), ("EZXY", ("X", "Z", "Y"))],
+)
+def test_a_component_names_the_axis_that_moves(
+    component: str, axes: tuple[str, str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the same command with the axis that moves; written, read with a model, and read without one."""
+    model, at = str(CONFIGS / "mill-model.toml"), ["--at", "T_x=26,T_y=25,T_z=24"]
+    form = "siemens-cec" if not axes[2] else "isg-crosscomp2"
+    of = ["--cross", component, "--format", form]
+    for name, more in (("short", []), ("long", ["--axis", axes[0]])):
+        out = tmp_path / name
+        assert status(["table", model, *of, *more, *at, "--grid", "50", "-o", str(out)]) == 0
+        assert status(["table", "read", str(out), *of, *more, "--model", model, *at]) == 0
+        capsys.readouterr()
+        assert status(["table", "read", str(out), *of, *more]) == 0
+        facts = json.loads(capsys.readouterr().out)
+        assert (facts["axis"], facts["corrects"], facts.get("second", "")) == axes
+    assert (tmp_path / "short").read_text() == (tmp_path / "long").read_text()
