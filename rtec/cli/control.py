@@ -9,6 +9,7 @@ import typer
 from rtec.cli.common import Json, print_console, print_json
 from rtec.cli.help import App
 from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
+from rtec.errors import ConfigError
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -107,6 +108,8 @@ def mark(
 
     Example: `rtec ctl mark "new tool, first part"`
     """
+    if config is None and Path(text).is_file():
+        raise ConfigError(f"rtec ctl mark: {text} is a file; write the text before it: rtec ctl mark TEXT {text}")
     _give("mark", text, config, at, key, as_json)
 
 

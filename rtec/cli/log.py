@@ -1,4 +1,4 @@
-"""`rtec log`: finds logs by time, shows one, follows it, exports a stretch as a table."""
+"""`rtec log`: finds logs by time, describes one, follows it, exports a stretch as a table."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -127,7 +127,7 @@ def _console() -> Console:
     return console if console.is_terminal else Console(highlight=False, width=100_000)
 
 
-app = App(help="Finds logs by time, shows one, follows it while it grows, exports it as a table.")
+app = App(help="Finds logs by time, describes one, follows it while it grows, exports it as a table.")
 
 _FOLLOW_NS = 250_000_000
 _clock: Clock = RealClock()

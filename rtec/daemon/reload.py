@@ -282,7 +282,8 @@ class ReloadReader:
         try:
             self._results.put(read_again(self._setup, self._now, self._accepts_doubts))
         except RtecError as e:
-            self._results.put(f"not reloaded, {STAYS}: {e}")
+            faults = "; ".join(str(e).splitlines())  # an event is one line
+            self._results.put(f"not reloaded, {STAYS}: {faults}")
         except Exception as e:  # noqa: BLE001 - any fault answers the order, and the next may come
             self._part.failed(fault(e))
             self._results.put(f"not reloaded, {STAYS}: {fault(e)}")

@@ -12,6 +12,7 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 
 from rtec.commission.example import SHIPPED
+from rtec.daemon.process import SIGNALS, signals_wait
 from rtec.demo import training
 from rtec.demo.day import NIST_SIZE, NIST_STRAIGHT, Plan, Sizes, Track, sizes_of
 from rtec.demo.hidden import draw
@@ -40,7 +41,8 @@ class Beside(Generic[T]):
         context = get_context("spawn")
         self._here, there = context.Pipe(duplex=False)
         self._process = context.Process(target=_call, args=(there, function, arguments), daemon=True)
-        self._process.start()
+        with signals_wait():
+            self._process.start()
         there.close()
 
     def __enter__(self) -> Self:
@@ -68,6 +70,7 @@ class Beside(Generic[T]):
 
 def _call(pipe: Connection, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole process group; the parent ends this process
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     try:
         pipe.send((True, function(*arguments)))
     except RtecError as e:

@@ -184,7 +184,7 @@ def _fault_row(fault: FaultFound) -> tuple[str, ...]:
 
 
 def _checks(found: HilResult | SoakResult) -> Section:
-    rows = [("yes" if c.passed else "NO" if c.judged else "no", c.name, c.words) for c in found.checks]
+    rows = [("-" if not c.judged else "yes" if c.passed else "NO", c.name, c.words) for c in found.checks]
     return Section("Checks", (), Table(("passed", "check", "result"), rows, words=(0, 1, 2)))
 
 

@@ -1,6 +1,7 @@
 """The command line: help that teaches, lazy imports, exit status. Oracle: `formats.md`'s table of exit status."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from rtec.cli import start
 from rtec.cli.main import application, status
 from rtec.errors import ConfigError, RtecError
 from rtec_drivers.registry import DRIVERS
@@ -173,3 +175,42 @@ except KeyboardInterrupt:
         command = [sys.executable, "-c", program, *words]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         assert done.stdout == said
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["table", "write", "m.toml", "--format", "fan"], ["fanuc", "fanuc-both"]),
+        (["table", "m.toml", "--format", "siemens-"], ["siemens-cec"]),
+        (["effects", "lost_m"], ["lost_motion"]),
+        (["drivers", "mod"], ["modbus"]),
+        (["import", "--as", "delim"], ["delimited"]),
+        (["hil", "--fault", "lis"], ["list"]),
+    ],
+)
+def test_the_shell_completes_names(words: list[str], wanted: list[str]) -> None:
+    """Oracle: the lists of the program. As bash asks."""
+    asks = {"_RTEC_COMPLETE": "complete_bash", "COMP_WORDS": f"rtec {' '.join(words)}", "COMP_CWORD": str(len(words))}
+    command = [sys.executable, "-c", "import sys; sys.argv[0] = 'rtec'; from rtec.cli.start import main; main()"]
+    done = subprocess.run(command, env={**os.environ, **asks}, capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout.split() == wanted, done.stderr
+
+
+def test_ctrl_c_while_the_program_loads_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the exit status of an interrupted program."""
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rtec.cli.main.main", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        start.main()
+    assert ended.value.code == 130
+
+
+def test_a_file_is_no_text_of_a_mark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The text was forgotten: what stands in its place is the run file."""
+    path = tmp_path / "mill.toml"
+    path.write_text("")
+    assert status(["ctl", "mark", str(path)]) == 2
+    assert "write the text before it" in " ".join(capsys.readouterr().err.split())

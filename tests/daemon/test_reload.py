@@ -259,6 +259,19 @@ def test_an_older_model_file_is_refused_and_the_reader_tells(setup: Setup) -> No
     reader._results.get(timeout=60)
 
 
+def test_several_faults_are_one_line_of_an_event(setup: Setup) -> None:
+    """Two wrong keys. Oracle: both are told, and no line break, which an event would show as its escape."""
+    rewrite(setup, lambda t: t.update(one={}, two={}))
+    reader = ReloadReader(setup, part())
+    reader.begin(setup)
+    found = reader._results.get(timeout=60)
+    assert isinstance(found, str)
+    assert "'one'" in found
+    assert "; " in found
+    assert "'two'" in found
+    assert found.isprintable()
+
+
 @pytest.mark.parametrize("error", [OverflowError("cannot convert float infinity"), ZeroDivisionError(), MemoryError()])
 def test_a_fault_that_nobody_foresaw_is_an_answer_too(
     setup: Setup, monkeypatch: pytest.MonkeyPatch, error: Exception

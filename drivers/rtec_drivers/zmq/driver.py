@@ -97,7 +97,7 @@ class StateBook:
             state = read_state(text)
             self._check(state, now_ns)
         except MessageError as e:
-            self.fault(f"a message {e}")
+            self.fault(f"a message: {e}")
             return None
         if state.boot != self._boot:
             self._boot, self._seq = state.boot, -1
