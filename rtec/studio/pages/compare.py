@@ -141,18 +141,18 @@ class _Plots:
     def build(self) -> None:
         s = self._series
         channels = {t: clean(t) for t in s.channels}
-        with ui.element("div").classes("row"):
+        with ui.element("div").classes("row choices"):
             names = {v.name: clean(v.name) for v in self._all}
             self._choice("series", "Measurement", names, s.name, rebuild=True)
             self._choice("over", "Draw over", channels, self._over)
             self._choice("colour", "Colour by", {"": "direction of motion", **channels}, self._colour)
-        self._detail = Words(
-            "div",
-            self._marked_now()
-            or "Point at a reading to see its row, or walk along the readings of a plot with the arrow keys. Drag over "
-            "readings to mark them in every plot.",
-            "reading card",
-        ).props('role="status" aria-live="polite"')
+            self._detail = Words(
+                "div",
+                self._marked_now()
+                or "Point at a reading to see its row, or walk along the readings of a plot with the arrow keys. Drag "
+                "over readings to mark them in every plot.",
+                "reading card",
+            ).props('role="status" aria-live="polite"')
         with ui.element("div").classes("plots"):
             self._add("residual", "The residual", self._residual, self._over_channel("residual"))
             self._add("measured", "Measured and predicted", self._measured, self._over_channel("measured"))
@@ -222,7 +222,7 @@ class _Plots:
                 self._plots[name].rows = self._rows(name, self._over_channel(name))
                 self._show(name)
 
-        ui.select(options, value=value, label=label, on_change=choose).props("outlined").style("min-width: 15rem")
+        ui.select(options, value=value, label=label, on_change=choose).props("outlined")
 
     def _add(
         self,

@@ -267,7 +267,7 @@ def _machine(session: TabSession) -> None:
                 Words("p", "No machine file in the folder. Drop one above, or begin with one that comes with rtec:")
                 shipped = sorted(p.name for p in (SHIPPED / "machines").glob("*.toml"))
                 made = ui.select(shipped, label="Machine that comes with rtec", on_change=take)
-            made.props("outlined").style("min-width: 22rem")
+            made.props("outlined").style("min-width: min(22rem, 100%)")
         trouble(session, "machine")
 
 

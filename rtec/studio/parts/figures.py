@@ -53,6 +53,10 @@ def kind(readings: int, of: str = "scatter") -> str:
     return of if readings <= SINGLY else f"{of}gl"
 
 
+BUTTONS: Figure = {"text": "\u00a0", "side": "top", "font": {"size": 20}}
+"""An empty first line of a legend, under the buttons of a plot."""
+
+
 def layout(**more: Any) -> Figure:
     """Layout of a figure: paper and axes; `more` overrides it."""
     base: Figure = {
@@ -63,7 +67,7 @@ def layout(**more: Any) -> Figure:
         "dragmode": "select",
         "hovermode": "closest",
         "hoverlabel": {"bgcolor": "@paper", "font": {"color": "@ink", "size": 14}, "bordercolor": "@ink"},
-        "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 13}},
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 13}, "title": BUTTONS},
         "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "@muted", "activecolor": "@ink"},
         "uirevision": "kept",
     }

@@ -168,3 +168,55 @@ def test_nothing_comes_from_elsewhere_and_each_page_has_a_policy(whole: Watched,
     there = [urlsplit(url) for url in whole.requests]
     assert {r.hostname for r in there if r.scheme not in ("data", "blob")} == {"127.0.0.1"}
     assert whole.complaints == []
+
+
+BOX = "(e) => e.getBoundingClientRect().toJSON()"
+WAITS = """(bar) => {
+  bar.dataset.kept = bar.innerHTML;
+  bar.innerHTML = "<b>Reading a long name.csv:</b><progress></progress><span>waiting for your answer</span>";
+}"""
+
+
+def test_a_narrow_window_cuts_nothing_and_lays_nothing_over_another(whole: Watched) -> None:
+    """A telephone of 390 px. Oracle: the boxes: the field lies in its card, all words of the progress in its strip."""
+    page = whole.page
+    show(page, "Measurements")
+    page.set_viewport_size({"width": 390, "height": 844})
+    try:
+        card = page.locator(".card", has=page.locator("h2", has_text="Machine")).first
+        field = card.locator(".q-field").first
+        page.wait_for_function("document.documentElement.scrollWidth <= 390")
+        assert field.evaluate(BOX)["right"] <= card.evaluate(BOX)["right"]
+        strip = page.locator(".progress")
+        strip.evaluate(WAITS)
+        within = strip.evaluate(BOX)
+        for part in strip.locator("> *").all():
+            box = part.evaluate(BOX)
+            assert within["top"] <= box["top"]
+            assert box["bottom"] <= within["bottom"]
+        strip.evaluate("(bar) => { bar.innerHTML = bar.dataset.kept; }")
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 960})
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_buttons_of_a_plot_lie_above_its_legend(whole: Watched, width: int) -> None:
+    """Oracle: the boxes of the buttons and of the words; and on a screen of 800 px half of the first plot is seen."""
+    page = whole.page
+    show(page, "Compare")
+    page.set_viewport_size({"width": width, "height": 800})
+    page.evaluate("window.scrollTo(0, 0)")
+    try:
+        if width > 1000:
+            page.wait_for_function("document.querySelector('.plots > .card').getBoundingClientRect().top < 540")
+        chart = page.locator(".chart").nth(1)
+        page.wait_for_function(
+            """() => {
+              const chart = document.querySelectorAll(".chart")[1];
+              const of = (name, side) => [...chart.querySelectorAll(name)].map((e) => e.getBoundingClientRect()[side]);
+              return Math.max(...of(".modebar-btn", "bottom")) <= Math.min(...of(".legendtext", "top"));
+            }"""
+        )
+        assert chart.locator(".legendtext").count() >= 2
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 960})
