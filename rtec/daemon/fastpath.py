@@ -167,8 +167,8 @@ REHEARSAL_CYCLES = 100
 LONGEST_REHEARSED_NS = 10_000_000
 """Limit of the rehearsal's period, ns, so that a slow loop begins within a second or so."""
 FIRST_COUNTS_S, TRY_S = 1.0, 0.01
-"""Longest wait, s, for the counts of a device that sends them by itself, and between two tries. Without them nobody knows
-whether an axis has moved since the run before, and its direction is lost."""
+"""Longest wait, s, for the counts of a device that sends them by itself, and between two tries. Without them nobody
+knows whether an axis has moved since the run before, and its direction is lost."""
 DISK_SLACK_S = 1.0
 """Largest age of the copy on disk, s (the limit of `[run] flush_s`)."""
 SWITCH_INTERVAL_S = 5e-5
