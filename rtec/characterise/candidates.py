@@ -30,7 +30,7 @@ EXPONENTS = (1.0, 1.5, 2.0)
 """Powers of the speed with which a spindle's heat grows."""
 
 
-FREE = ("load_deformation", "backlash_load", "backlash_temperature")
+FREE = ("load_deformation", "backlash_load")
 """Effects of the catalogue beyond those of `geometry`, `extended` and `thermal` that a free choice tries."""
 THERMAL = {
     "axis_expansion", "axis_expansion_nonuniform", "column_tilt", "mount_expansion", "spindle_growth", "spindle_tilt",

@@ -271,7 +271,7 @@ def _at_start(
         new_boot=new_boot,
         slack_s=slack_s,
         output=output if _reports_output(ports, output) else None,
-        counts=counts if saved is not None and first_counts(ports, counts, clock) else None,
+        counts=counts if first_counts(ports, counts, clock, FIRST_COUNTS_S if saved is not None else 0.0) else None,
         start_mode=MODES_BY_NAME[setup.file.run.mode],
         damaged=_damaged(damaged),
         one_way=isinstance(ports.actuator, OneWay),
@@ -293,9 +293,9 @@ def _reports_output(ports: Ports, output: IntArray) -> bool:
     return True
 
 
-def first_counts(ports: Ports, counts: IntArray, clock: Clock) -> bool:
+def first_counts(ports: Ports, counts: IntArray, clock: Clock, wait_s: float = FIRST_COUNTS_S) -> bool:
     """Read the counts, and wait for a device that sends them by itself; were there any?"""
-    end_ns = clock.now_ns() + round(FIRST_COUNTS_S * 1e9)
+    end_ns = clock.now_ns() + round(wait_s * 1e9)
     while True:
         try:
             ports.counts.read_counts(counts)

@@ -84,9 +84,9 @@ def polished(
 
 
 def _at_end(p: Parameter, box: Parameter, value: float) -> bool:
-    """Whether a value is at an end of a search that is no bound of the parameter."""
+    """Whether a place or a length is at an end of a search that is no bound of it; a delay is not followed farther."""
     place = SearchScale.of(box).place(value)
-    return (place < END and box.low > p.low) or (place > 1.0 - END and box.high < p.high)
+    return p.unit == "mm" and ((place < END and box.low > p.low) or (place > 1.0 - END and box.high < p.high))
 
 
 def _about(p: Parameter, box: Parameter, value: float) -> Parameter:
