@@ -209,7 +209,7 @@ def test_ctrl_c_while_the_program_loads_is_no_traceback(monkeypatch: pytest.Monk
 
 
 def test_a_file_is_no_text_of_a_mark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The text was forgotten: what stands in its place is the run file."""
+    """The text was forgotten: the run file is in its place."""
     path = tmp_path / "mill.toml"
     path.write_text("")
     assert status(["ctl", "mark", str(path)]) == 2

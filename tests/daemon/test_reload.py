@@ -260,7 +260,7 @@ def test_an_older_model_file_is_refused_and_the_reader_tells(setup: Setup) -> No
 
 
 def test_several_faults_are_one_line_of_an_event(setup: Setup) -> None:
-    """Two wrong keys. Oracle: both are told, and no line break, which an event would show as its escape."""
+    """Two wrong keys. Oracle: the message names both, without a line break, which an event would show as its escape."""
     rewrite(setup, lambda t: t.update(one={}, two={}))
     reader = ReloadReader(setup, part())
     reader.begin(setup)
