@@ -6,6 +6,8 @@ Every text for people takes its numbers from here; files and JSON keep all digit
 import math
 
 NONE = "–"
+ERROR_UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
+"""Units of errors as people read them; errors of several instruments together are multiples of their noise."""
 LEAST_SHARE = 0.0005
 """A share nearer to none or all than this is shown as neither."""
 

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from rtec.text import joined
+from rtec.wording import ERROR_UNITS
 
 STALLED_S: Final = 1.0
 """Largest age, s, of the newest row of a loop that runs."""
-_UNITS: Final = {"um": "µm", "urad": "µrad"}
 _MODES: Final = {
     "on": "on: the correction follows the model",
     "off": "off: the correction goes to nothing, or has gone there",
@@ -113,7 +113,7 @@ def _residual(residual: Mapping[str, Any]) -> list[str]:
     if residual["trouble"]:
         lines.append(f"residual: {residual['trouble']}")
     elif not lines and residual["model"]["rms"] is not None:
-        unit = _UNITS.get(residual["model"]["unit"], residual["model"]["unit"])
+        unit = ERROR_UNITS.get(residual["model"]["unit"], residual["model"]["unit"])
         lines.append(
             f"residual of the model: {residual['model']['rms']:.2f} {unit} on held-out runs, all axes together"
         )

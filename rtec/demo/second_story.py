@@ -22,13 +22,14 @@ from rtec.demo.live import corrected
 from rtec.diagnosis.extend.add import Added, add, new_effect
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.words import UNITS, sentence
+from rtec.diagnosis.words import sentence
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.diagnosis import diagnosis_page
 from rtec.report.history import added_page
 from rtec.report.page import Figure, Section, Table
 from rtec.sim.truth import Truth, load_truth
+from rtec.wording import ERROR_UNITS
 
 Stage = Callable[[str, int, int], None]
 Verdict = Literal["named", "among those alike", "not named", "wrongly named"]
@@ -208,7 +209,7 @@ def later_words(later: Later) -> list[str]:
         f"Diagnosis: {sentence(later.diagnosis.sentence)}",
     ]
     if later.added is not None and later.after is not None:
-        unit = UNITS[later.added.unit]
+        unit = ERROR_UNITS[later.added.unit]
         out += [
             f"Added {', '.join(later.added.labels)}: on held-out runs the residual falls from "
             f"{later.added.before.held_out:.2f} to {later.added.after.held_out:.2f} {unit}; the noise floor is "

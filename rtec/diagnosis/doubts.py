@@ -31,6 +31,7 @@ from rtec.machine import Axis, Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.history import steps_of
+from rtec.wording import ERROR_UNITS, significant, sizes
 
 Floats = NDArray[np.float64]
 
@@ -139,7 +140,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
     found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
-        found.append(edited.doubt(judged.residual))
+        found.append(edited.doubt(judged.residual, ERROR_UNITS[judged.unit]))
     step = f"{STEP[0].upper()}{STEP[1:]}."
     found += [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
     step = f"{NEXT[0].upper()}{NEXT[1:]}."
@@ -157,7 +158,7 @@ def _disagree(judged: Judgement) -> list[Doubt]:
     steps = [s for s in steps_of(model) if s["unit"] == judged.unit != "noise"]
     if not steps or not model.measurements:
         return []
-    unit, fitted = "µrad" if judged.unit == "urad" else "µm", float(steps[-1]["error"])
+    unit, fitted = ERROR_UNITS[judged.unit], float(steps[-1]["error"])
     predicted_rms = floor.rms_by_series(readings, judged.base.predicted)
     out = []
     for i, m in enumerate(readings.measurements):
@@ -170,14 +171,15 @@ def _disagree(judged: Judgement) -> list[Doubt]:
         off = max(float(np.sqrt(np.mean((v - v.mean()) ** 2))) for v in left)
         if off < DISAGREES * usual:
             continue
+        here, there = sizes(off, fitted)
         message = (
-            f"{m.name} disagrees with the readings that the model was fitted to: the model leaves {off:.2g} {unit} of "
-            f"it, and left {fitted:.2g} {unit} of those. It may be of another machine or set-up, the machine may have "
-            "changed since, or an effect may act that did not act then."
+            f"The model leaves {here} {unit} of {m.name}, and left {there} {unit} of the readings that it was "
+            "fitted to: an effect may act that did not act then, the machine may have changed since, or the file is of "
+            "another machine or set-up."
         )
         step = (
-            "With a file of the fit beside it, rtec diagnose tells whether both contradict each other. "
-            "Check whether it is of this machine."
+            "Check whether it is of this machine. With a file of the fit beside it, rtec diagnose tells whether both "
+            "contradict each other."
         )
         out.append(Doubt("other_machine", message, step))
     return out
@@ -210,9 +212,10 @@ def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[D
     for s, noise in zip(judged.readings.series, judged.floors, strict=True):
         read, modelled = (float(np.sqrt(np.mean(v[s.part] ** 2))) for v in (measured, predicted))
         if _moves(judged.readings, s) and read < FLAT * noise.value and modelled > MUCH * max(noise.value, read):
+            flat, due = sizes(read, modelled)
             message = (
-                f"{_name(judged.readings, s)} is flat ({read:.2g} µm) where the model says {modelled:.2g} µm: was the "
-                "correction on while it was measured?"
+                f"{_name(judged.readings, s)} is flat ({flat} µm) where the model says {due} µm: was the correction on "
+                "while it was measured?"
             )
             step = "Put the inserted corrections back into the readings, or measure with the correction held at zero."
             out.append(Doubt("corrected", message, step, fatal=True))
@@ -325,9 +328,10 @@ class _Edit:
     check: str
     fatal: bool = True
 
-    def doubt(self, before: float) -> Doubt:
+    def doubt(self, before: float, unit: str) -> Doubt:
         """The doubt in words; `before` is the residual without the edit."""
-        message = f"with {self.edit} the model leaves {self.residual:.2g} instead of {before:.2g}: {self.suspect}."
+        here, there = sizes(self.residual, before)
+        message = f"with {self.edit} the model leaves {here} instead of {there} {unit}: {self.suspect}."
         if not self.fatal:
             message = f"{message[:-1]}, unless something that grows shifts the readings as much."
         return Doubt(self.kind, message, f"Check {self.check} before a new effect is blamed.", fatal=self.fatal)
@@ -454,7 +458,7 @@ class _Edits:
             if high - low < REAL["mm"]:
                 continue
             by = self._place(moved, low, high)
-            edit = f"{axis.channel} moved by {by:+.3g} mm"
+            edit = f"{axis.channel} moved by {significant(by, sign=True)} mm"
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
             found = left(by)
             apart = self._shifted(axis) > AS_GOOD * found

@@ -14,7 +14,7 @@ from rtec.estimation.flexible import flexible_columns
 from rtec.estimation.gls import Fit, without_runs
 from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
-from rtec.wording import number
+from rtec.wording import ERROR_UNITS, number
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,6 @@ PAUSE_S, LONG_PAUSE = 120.0, 0.2
 """A lag remembers a pause of at least this length, and of this many time constants."""
 MUCH_WARMER = 5.0
 """From this difference of the medians of files on, in K, one file is cold and the other warm."""
-UNITS = {"um": "µm", "urad": "µrad"}
 
 
 def substitute_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> Doubt | None:
@@ -202,7 +201,7 @@ def unrecorded_heat(
             return None
     m = readings.measurements[s.source]
     message = (
-        f"{m.name} {s.column} grows and falls by {number(slow)} {UNITS.get(s.unit, s.unit)} with a memory of "
+        f"{m.name} {s.column} grows and falls by {number(slow)} {ERROR_UNITS.get(s.unit, s.unit)} with a memory of "
         f"{minutes(memory)}: slow, and unexplained by anything recorded."
     )
     return Doubt("no_temperature", message, _to_record(readings, s), fatal=True)

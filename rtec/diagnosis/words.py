@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.model import FittedEffect
-from rtec.wording import NONE, number, percent, significant, sizes, with_error
+from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, with_error
 
 ABOVE = 1.5
 """Residual, in noise floors, above which the sentence gives the part that is slow drift."""
@@ -88,7 +88,6 @@ LITTLE = 2.0
 TOGETHER = "to be added together with rank 1"
 BESIDE = "explains another part than rank 1; may be missing too"
 MOST_NUMBERS = 4
-UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 
 
 def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreign: Sequence[str] = ()) -> Diagnosis:
@@ -103,7 +102,7 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
     if odd and d.verdict == "undecided":
         return replace(d, sentence=" ".join([*odd, *_until_then(d)]))
     verdict = _sentence(d, smallest) + _beside_instrument(d)
-    verdict = " ".join([*foreign, f"If so, {verdict}"]) if foreign else verdict
+    verdict = " ".join([sentence(verdict), *foreign]) if foreign else verdict
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
 
 
@@ -112,12 +111,12 @@ def _until_then(d: Diagnosis) -> list[str]:
     if not accepted(d.findings):
         return []
     f = d.findings[0]
-    part = _of_the_residual(f.size_um, d, UNITS[d.unit])
+    part = _of_the_residual(f.size_um, d, ERROR_UNITS[d.unit])
     return [f"Until then: {f.label} explains {part}, which may be a part of that growth."]
 
 
 def _sentence(d: Diagnosis, smallest: float) -> str:
-    unit = UNITS[d.unit]
+    unit = ERROR_UNITS[d.unit]
     if d.together:
         return _together(d)
     if d.verdict == "missing_effect":
@@ -281,7 +280,7 @@ def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
         smallest: smallest root mean squares that would be detected.
         unit: of both, as in a diagnosis.
     """
-    low, high, name = significant(min(usual), 1), significant(max(usual), 1), UNITS[unit]
+    low, high, name = significant(min(usual), 1), significant(max(usual), 1), ERROR_UNITS[unit]
     makes = low if low == high else f"{low} to {high}"
     return (
         f"at its usual size it adds {makes} {name} to these readings; it would be seen from "

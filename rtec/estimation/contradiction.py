@@ -19,6 +19,7 @@ from rtec.estimation import floor
 from rtec.estimation.candidates import real
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, row_codes
+from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -97,10 +98,14 @@ def contradiction(judged: Judgement) -> Contradiction | None:
     if turned:
         return _described(readings, turned, pairs, met, "readings go the other way")
     if apart:
-        unit = "µrad" if apart[0].unit == "urad" else "µm"
+        unit = ERROR_UNITS[apart[0].unit]
         worst = max(p.off for p in apart)
         return _described(
-            readings, apart, pairs, met, f"readings differ by {worst:.2g} {unit}, and no recorded channel does"
+            readings,
+            apart,
+            pairs,
+            met,
+            f"readings differ by {significant(worst, 2)} {unit}, and no recorded channel does",
         )
     return None
 

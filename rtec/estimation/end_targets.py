@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.readings import Readings, Series
 from rtec.machine import Axis
-from rtec.wording import significant
+from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -91,7 +91,7 @@ def end_targets(readings: Readings) -> list[EndTargets]:
 
 
 def _message(readings: Readings, s: Series, axis: Axis, places: Floats, off: Floats) -> str:
-    unit = "µm" if s.unit == "um" else "µrad"
+    unit = ERROR_UNITS[s.unit]
     listed = [f"{p:.4g} mm ({significant(o, 2, sign=True)} {unit})" for p, o in zip(places, off, strict=True)]
     ends = listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}"
     return (

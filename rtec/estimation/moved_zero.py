@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
-from rtec.wording import significant
+from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -84,7 +84,7 @@ def moved_zeros(readings: Readings) -> list[MovedZero]:
             m = readings.measurements[s.source]
             numbers = m.run[s.row[inside]]
             first, last = int(numbers[0]), int(numbers[-1])
-            unit = "µm" if s.unit == "um" else "µrad"
+            unit = ERROR_UNITS[s.unit]
             which, them = (f"run {first} is", "it") if first == last else (f"runs {first} to {last} are", "them")
             message = (
                 f"{m.name} {s.column}: {which} {significant(abs(jump.by), 2)} {unit} apart from the runs before and "

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_sums, gains, innovations
-from rtec.wording import significant
+from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Noise:
 
     def words(self, name: str, unit: str) -> str:
         """In words."""
-        u = "µm" if unit == "um" else "µrad"
+        u = ERROR_UNITS[unit]
         drift, offset = self.sigma * math.sqrt(self.drift), self.sigma * math.sqrt(self.offset)
         text = f"{name}: white noise {significant(self.sigma, 2)} {u}"
         if drift > 0.2 * self.sigma:

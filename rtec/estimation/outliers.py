@@ -27,7 +27,7 @@ from rtec.estimation.readings import Readings, Series, read, row_codes
 from rtec.jit import njit
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import MANY
-from rtec.wording import counted, significant
+from rtec.wording import ERROR_UNITS, counted, significant
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -157,7 +157,7 @@ def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
     out = []
     for key in dict.fromkeys((w.measurement, w.column, w.why) for w in wrong):
         mine = [w for w in wrong if (w.measurement, w.column, w.why) == key]
-        unit = "µm" if mine[0].unit == "um" else "µrad"
+        unit = ERROR_UNITS[mine[0].unit]
         rows = ", ".join(
             f"row {w.row + 1} of run {w.run} ({significant(w.off, sign=True)} {unit})" for w in mine[:TOLD]
         )

@@ -11,13 +11,13 @@ from rtec.diagnosis.compare.bins import MOVES, REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.compare.compare import SLOW, SURELY
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
 from rtec.diagnosis.compare.shape import AGAIN
-from rtec.diagnosis.words import UNITS, named, sentence, spoken
+from rtec.diagnosis.words import named, sentence, spoken
 from rtec.estimation.outliers import left_out
 from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
-from rtec.wording import decimals, number, percent, significant, sizes
+from rtec.wording import ERROR_UNITS, decimals, number, percent, significant, sizes
 
 Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
@@ -57,7 +57,12 @@ def compare_page(c: Comparison, figures: bool = True) -> Page:
 def _brief(c: Comparison) -> Table:
     digits = _digits(c)
     rows = [
-        [_name(i, c), *(number(v, digits) for v in (i.measured.rms, i.left.rms, i.floor)), _share(i), UNITS[i.unit]]
+        [
+            _name(i, c),
+            *(number(v, digits) for v in (i.measured.rms, i.left.rms, i.floor)),
+            _share(i),
+            ERROR_UNITS[i.unit],
+        ]
         for i in c.items
     ]
     head = ("measurement", "measured", "residual", "noise floor", "explained", "unit")
@@ -91,7 +96,7 @@ def _badness(i: Compared) -> tuple[bool, float]:
 
 
 def _verdict(first: Compared, c: Comparison) -> str:
-    unit = UNITS[first.unit]
+    unit = ERROR_UNITS[first.unit]
     of = f"{_name(first, c)}: the" if len(c.items) > 1 else "The"
     worse = f" {sentence(WORSE)}" if (first.explained or 0.0) < 0.0 else ""
     left, measured, floor = sizes(first.left.rms, first.measured.rms, first.floor)
@@ -133,7 +138,7 @@ def _numbers(c: Comparison) -> list[tuple[str, str]]:
     named = zip(
         ("measured", "residual", "noise floor"), sizes(first.measured.rms, first.left.rms, first.floor), strict=True
     )
-    out = [(f"{size}\u00a0{UNITS[first.unit]}", name) for name, size in named]
+    out = [(f"{size}\u00a0{ERROR_UNITS[first.unit]}", name) for name, size in named]
     if first.explained is None:
         return out
     share = _share(first) if first.explained > 0.0 else "nothing"
@@ -157,7 +162,7 @@ def _table(c: Comparison) -> Section:
             *(f"{number(v.rms, digits)} / {number(v.most, digits - 1)}" for v in (i.measured, i.predicted, i.left)),
             number(i.floor, digits),
             _share(i),
-            UNITS[i.unit],
+            ERROR_UNITS[i.unit],
         ]
         for i in c.items
     ]
@@ -187,14 +192,14 @@ def _worst(c: Comparison) -> Section:
             number(r.elsewhere, digits),
             number(r.mean, digits, sign=True),
             f"{r.n}",
-            UNITS[i.unit],
+            ERROR_UNITS[i.unit],
         ]
         for i in c.items
         for r in i.worst
         if r.apart is None
     ]
     apart = [
-        f"{_name(i, c)}: {r.words}; without that the residual is {number(r.elsewhere, digits)} {UNITS[i.unit]}."
+        f"{_name(i, c)}: {r.words}; without that the residual is {number(r.elsewhere, digits)} {ERROR_UNITS[i.unit]}."
         for i in c.items
         for r in i.worst
         if r.apart is not None
@@ -259,7 +264,7 @@ def _parts(c: Comparison) -> Section:
     rows = []
     for i in c.items:
         parts = i.parts[:MOST_PARTS]
-        rows += [[_name(i, c), p.label, number(p.rms), number(p.most, 1), UNITS[i.unit]] for p in parts]
+        rows += [[_name(i, c), p.label, number(p.rms), number(p.most, 1), ERROR_UNITS[i.unit]] for p in parts]
     words = [f"{_name(i, c)} reads {_components_read(i.sees)}." for i in c.items]
     if not rows:
         return Section("What the model predicts", [*words, "No effect of the model enters these readings."])
@@ -270,7 +275,7 @@ def _parts(c: Comparison) -> Section:
 def _noise(c: Comparison) -> Section:
     words = []
     for i in c.items:
-        unit = UNITS[i.unit]
+        unit = ERROR_UNITS[i.unit]
         source = "repeats" if i.noise.repeats is not None else "neighbouring readings"
         text = f"{_name(i, c)}: {number(i.floor)} {unit} between {source}"
         if i.noise.drift > SLOW * i.floor:
@@ -311,7 +316,7 @@ def _pictures(c: Comparison) -> list[Section]:
 
 
 def _figures(c: Comparison, item: Compared, s: Series, title: str) -> list[tuple[str, Figure]]:
-    readings, unit = c.traces.readings, UNITS[item.unit]
+    readings, unit = c.traces.readings, ERROR_UNITS[item.unit]
     measured, predicted = c.traces.measured[s.part], c.traces.predicted[s.part]
     left = measured - predicted
     out = []

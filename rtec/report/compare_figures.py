@@ -16,6 +16,7 @@ from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.report.ball_bar_figures import MIDDLE, ROOM, CircleTrace, around, arrow, frame
 from rtec.report.figures import GREY, LINES, OFF, ON, WHOLE, WIDTH_IN, Png, Zoom, as_png, canvas, stacked, zoomed
+from rtec.wording import significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -560,7 +561,7 @@ def contributions(
     ax.set_xlim(0, 1.15 * most)
     # Across the names too: there is not always room beside them.
     figure.suptitle(f"{title}: what each effect adds", x=0.01, ha="left", fontsize=17, fontweight="bold")
-    ax.set_xlabel(f"root mean square, {unit} (grey band: noise {floor:.2g} {unit})")
+    ax.set_xlabel(f"root mean square, {unit} (grey band: noise {significant(floor, 2)} {unit})")
     ax.grid(visible=False, axis="y")
     return figure
 

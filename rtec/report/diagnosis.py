@@ -13,13 +13,13 @@ import numpy as np
 
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
-from rtec.diagnosis.words import MOST_NUMBERS, UNITS, fitted_numbers, hardly, labels, sentence
+from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, sentence
 from rtec.effects import Effect
 from rtec.report.evidence import Amplitudes, Evidence, evidence
 from rtec.report.figures import GREY, OFF, ON, WHOLE, Zoom, as_png, canvas, room_above, stacked, zoomed
 from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
-from rtec.wording import NONE, counted, decimals, number, percent, probability, sizes
+from rtec.wording import ERROR_UNITS, NONE, counted, decimals, number, percent, probability, sizes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -211,7 +211,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
         d: the diagnosis.
         figures: whether to draw.
     """
-    unit = UNITS[d.unit]
+    unit = ERROR_UNITS[d.unit]
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     return Page(
         title="Which effect is missing",
@@ -268,7 +268,7 @@ def _brief(d: Diagnosis) -> Table | None:
         ]
         for f, label in zip(shown, labels(shown), strict=True)
     ]
-    head: tuple[str, ...] = ("candidate", f"explains, {UNITS[d.unit]}", "held-out error falls by", "probability")
+    head: tuple[str, ...] = ("candidate", f"explains, {ERROR_UNITS[d.unit]}", "held-out error falls by", "probability")
     if d.runs is not None:  # too few runs decide: drift explains them as well, which the probability takes into account
         head, rows = head[:-1], [r[:-1] for r in rows]
     more = f" {counted(len(d.findings) - BRIEF, 'more candidate')} with --full." if len(d.findings) > BRIEF else ""
@@ -374,7 +374,7 @@ def _candidate_words(d: Diagnosis) -> list[str]:
 
 
 def _candidates(d: Diagnosis) -> Table:
-    unit = UNITS[d.unit]
+    unit = ERROR_UNITS[d.unit]
     rows = [
         [
             f"{f.rank}",
@@ -440,7 +440,7 @@ def _undetected(d: Diagnosis) -> list[Section]:
         [name, number(low), number(high), ", ".join(sorted(where)[:WHERE]) + (" …" if len(where) > WHERE else "")]
         for name, (low, high, where) in sorted(smallest.items())
     ]
-    unit = UNITS[d.unit]
+    unit = ERROR_UNITS[d.unit]
     head = ("effect", f"found from, {unit}", f"to, {unit}", "tested in")
     words = ["Tested and not found, with the size in the readings (root mean square) from which it would be found."]
     return [Section("Tested and absent", words, Table(head, rows, words=(0, 3)))]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.result import Picture
-from rtec.diagnosis.words import UNITS, titled
+from rtec.diagnosis.words import titled
+from rtec.wording import ERROR_UNITS
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -129,12 +130,12 @@ def evidence(p: Picture) -> Evidence:
         return replace(_over(p, *pair), second=pair[1].title, amplitudes=_amplitudes(p, *pair))
     if _shown(p, time) >= ENOUGH_OF_TWO:
         return replace(_over(p, time), causes=tuple((d.title, d.value) for d in drivers[:MOST_CAUSES]))
-    itself = _variable(f"what the finding explains, {UNITS[p.unit]}", p.part)
+    itself = _variable(f"what the finding explains, {ERROR_UNITS[p.unit]}", p.part)
     return replace(_over(p, itself), curves=_curves(p, itself, apart=False))
 
 
 def _over(p: Picture, over: _Variable, second: _Variable | None = None) -> Evidence:
-    return Evidence(p.title, UNITS[p.unit], over.title, _curves(p, over, second), (over.value, p.residual))
+    return Evidence(p.title, ERROR_UNITS[p.unit], over.title, _curves(p, over, second), (over.value, p.residual))
 
 
 def _differences(p: Picture) -> list[_Variable]:

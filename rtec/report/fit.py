@@ -13,12 +13,11 @@ from rtec.estimation.outliers import left_out
 from rtec.report.figures import LINES, OFF, ON, Png, as_png, stacked
 from rtec.report.page import Figure, Page, Section, Table, note_words, shell_command
 from rtec.version import __version__
-from rtec.wording import NONE, counted, decimals, number, significant, sizes, with_error
+from rtec.wording import ERROR_UNITS, NONE, counted, decimals, number, significant, sizes, with_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
-UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 WORTH_TELLING = 0.3
 """Correlations nearer to zero than this are not shown."""
 SURE = 3.0
@@ -32,7 +31,7 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
         r: the characterisation.
         figures: whether to draw.
     """
-    unit = UNITS[r.unit]
+    unit = ERROR_UNITS[r.unit]
     held, inside, floor = sizes(r.held_out_rms, r.inside_rms, r.judged.noise_floor)
     warnings = [f"{w.text}. What to do: {w.remedy}." for w in r.warnings]
     shown = [w for w in r.warnings if w.code != "outliers"]
@@ -73,7 +72,7 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
 def _brief(r: Characterisation) -> Table:
     digits = _digits(r)
     rows = [
-        [m.name, *(number(v, digits) for v in (m.measured, m.inside, m.held_out, m.floor)), UNITS[m.unit]]
+        [m.name, *(number(v, digits) for v in (m.measured, m.inside, m.held_out, m.floor)), ERROR_UNITS[m.unit]]
         for m in r.measurements
     ]
     head = ("measurement", "measured", "residual", "held out", "noise floor", "unit")
@@ -93,7 +92,7 @@ def _measurements(r: Characterisation) -> Table:
             m.instrument,
             f"{m.readings}",
             *(number(v, digits) for v in (m.measured, m.inside, m.held_out, m.floor)),
-            UNITS[m.unit],
+            ERROR_UNITS[m.unit],
             m.blocks,
         ]
         for m in r.measurements
@@ -150,7 +149,7 @@ def _search_figure(r: Characterisation) -> Png:
 
 def _residual_figure(r: Characterisation) -> Figure:
 
-    panels = [(m.name, UNITS[m.unit], *r.residuals[m.name]) for m in r.measurements]
+    panels = [(m.name, ERROR_UNITS[m.unit], *r.residuals[m.name]) for m in r.measurements]
     return Figure("residuals.png", residuals(panels), "Residual of each reading over time")
 
 

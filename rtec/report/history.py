@@ -11,12 +11,23 @@ from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import Improved
 from rtec.diagnosis.extend.record_event import words
-from rtec.diagnosis.words import UNITS, sentence, spoken
+from rtec.diagnosis.words import sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
 from rtec.report.figures import OFF, ON, as_png, stacked
 from rtec.report.page import Figure, Page, Section, Table, shell_command
-from rtec.wording import NONE, counted, decimals, number, percent, significant, sizes, two_numbers, with_error
+from rtec.wording import (
+    ERROR_UNITS,
+    NONE,
+    counted,
+    decimals,
+    number,
+    percent,
+    significant,
+    sizes,
+    two_numbers,
+    with_error,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -62,7 +73,7 @@ def added_page(a: Added, figures: bool = True) -> Page:
     section = _before_and_after(a)
     what = ", ".join(a.labels) or "refitted numbers"
     before, after = two_numbers(a.before.held_out, a.after.held_out)
-    unit = UNITS[a.unit]
+    unit = ERROR_UNITS[a.unit]
     lead = (
         f"With {what} the residual on held-out runs is {after} {unit}, before it was {before} {unit}; the noise floor "
         f"is {sizes(a.floor)[0]} {unit}."
@@ -80,7 +91,7 @@ def added_page(a: Added, figures: bool = True) -> Page:
 
 
 def _before_and_after(a: Added) -> Section:
-    unit = UNITS[a.unit]
+    unit = ERROR_UNITS[a.unit]
     fall = 1.0 - (a.after.held_out / a.before.held_out) ** 2 if a.before.held_out > 0 else 0.0
     what = ", ".join(a.labels) or "refitted numbers"
     errors = [
@@ -109,7 +120,7 @@ def _before_and_after(a: Added) -> Section:
 
 def _refit_words(refit: Added) -> str:
     """The error before and after a refit of the model's own numbers."""
-    went = fell(refit.before, refit.after, UNITS[refit.unit])
+    went = fell(refit.before, refit.after, ERROR_UNITS[refit.unit])
     return f"The model's own numbers were out of date; refitted, the residual on held-out runs {went}. "
 
 
@@ -125,7 +136,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         lead = f"{refit}No effect was added: {_why_ended(r)}. {_last_verdict(r)}"
     else:
         first, last = r.steps[0], r.steps[-1]
-        unit = UNITS[last.unit]
+        unit = ERROR_UNITS[last.unit]
         went = fell(first.before, last.after, unit)
         added = counted(sum(len(s.labels) for s in r.steps), "effect")
         lead = (
@@ -172,7 +183,7 @@ def history_page(h: History, figures: bool = True) -> Page:
     if not steps:
         lead = "This model has no history: it was written by hand, or fitted by an old version."
         return Page(f"History of {model.name}", lead, [], [])
-    unit = UNITS.get(steps[-1]["unit"], steps[-1]["unit"])
+    unit = ERROR_UNITS.get(steps[-1]["unit"], steps[-1]["unit"])
     errors = stairs(steps)[1]
     now = sizes(errors[-1])[0] if errors[0] == errors[-1] else " to ".join(two_numbers(errors[0], errors[-1]))
     went = "is" if errors[0] == errors[-1] else "fell from" if errors[-1] < errors[0] else "went from"
@@ -234,13 +245,13 @@ def _step_row(s: Mapping[str, Any], digits: int) -> list[str]:
         sharp, sharper = s["beyond_drift"]
         fall = f"{percent(1.0 - (sharper / sharp) ** 2)} beyond drift"
     floor = NONE if s["floor"] is None else number(float(s["floor"]), digits)
-    unit = UNITS.get(s["unit"], s["unit"])
+    unit = ERROR_UNITS.get(s["unit"], s["unit"])
     start, end = (NONE if before is None else number(before, digits)), number(s["error"], digits)
     return [s["name"], start, end, fall, floor, unit]
 
 
 def _changed(s: Mapping[str, Any]) -> str:
-    unit = UNITS.get(s["unit"], s["unit"])
+    unit = ERROR_UNITS.get(s["unit"], s["unit"])
     before, after = two_numbers(s["before"], s["error"])
     fall = _beyond_drift(s)
     beyond = f"; beyond slow drift {fall[0]} times the noise before, {fall[1]} after" if fall else ""
@@ -279,7 +290,7 @@ def _beyond_drift(s: Mapping[str, Any]) -> tuple[str, str] | None:
 def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
 
     unit = steps[-1]["unit"]
-    png = staircase(UNITS.get(unit, unit), *stairs(steps))
+    png = staircase(ERROR_UNITS.get(unit, unit), *stairs(steps))
     return Figure("history.png", png, "The residual on held-out runs after each change, and the noise floor.")
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from rtec.diagnosis.words import UNITS, titled
+from rtec.diagnosis.words import titled
 from rtec.errors import RtecError
 from rtec.machine.chain import component_unit
 from rtec.machine.links import Side, component_words, link_places
@@ -11,7 +11,7 @@ from rtec.model import Model
 from rtec.model.volume import component_errors, cylinder, tip_errors
 from rtec.report.machine_state_figures import Camera
 from rtec.report.page import Figure, Section, Table
-from rtec.wording import number, significant
+from rtec.wording import ERROR_UNITS, number, significant
 
 SIDES: tuple[Side, ...] = ("tool", "work")
 
@@ -89,7 +89,7 @@ def machine_state_sections(s: MachineState, figures: bool = True) -> list[Sectio
         figures: whether to draw.
     """
     machine, errors = s.model.machine, fed_errors(s)
-    rows = [(c, component_words(c, machine), f"{number(v, 2, sign=True)} {UNITS[component_unit(c)]}")
+    rows = [(c, component_words(c, machine), f"{number(v, 2, sign=True)} {ERROR_UNITS[component_unit(c)]}")
             for c, v in errors.items()]  # fmt: skip
     shown = [(effect_words(s.model, k), "off" if k in s.off else "on") for k in range(len(s.model.effects))]
     times = f"Errors are drawn {significant(s.magnified, 2)} times as large as they are."
@@ -133,7 +133,7 @@ def _figures(s: MachineState, errors: Mapping[str, float]) -> tuple[Figure, Figu
     bars = None
     if errors:
         names = {c: f"{c}\n{component_words(c, machine)}" for c in errors}
-        made = drawn.bars([(names[c], v, UNITS[component_unit(c)]) for c, v in errors.items()])
+        made = drawn.bars([(names[c], v, ERROR_UNITS[component_unit(c)]) for c, v in errors.items()])
         bars = Figure("components.png", made, "component errors as bars")
     return (
         Figure("machine.png", chain, "the machine's links, nominal and moved by their errors"),

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rtec.report.figures import LINES, as_png, canvas
 from rtec.report.page import Figure, Page, Section, Table
-from rtec.wording import counted, number, significant
+from rtec.wording import ERROR_UNITS, counted, number, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -51,7 +51,6 @@ def machine_page(machine: "Machine") -> Page:
 
 
 Floats = NDArray[np.float64]
-UNITS = {"um": "µm", "urad": "µrad"}
 WAYS = {1.0: ("moving +", "-", "o"), -1.0: ("moving −", "--", "s"), 0.0: ("no direction", ":", ".")}
 
 
@@ -65,7 +64,7 @@ def measurement_page(m: "Measurement", figures: bool = True) -> Page:
     )
     rows = [[name, *_spread(m.readings[name])] for name in m.instrument.columns()]
     table = Table(("column", "unit", "readings", "mean", "standard deviation", "lowest", "highest"), [
-        [name, UNITS[_unit(name)], *rest] for name, *rest in rows
+        [name, ERROR_UNITS[_unit(name)], *rest] for name, *rest in rows
     ], words=(0, 1))  # fmt: skip
     figure = Figure("readings.png", _drawn(m), "Every reading over the position or the time.") if figures else None
     return Page(f"Measurement {m.name}", lead, [], [Section("Readings", [f"{n}." for n in m.notes], table, figure)])
@@ -114,7 +113,7 @@ def _drawn(m: "Measurement") -> "MplFigure":
                 shade = colour if direction >= 0 or len(names) > 1 else LINES[1]
                 ax.plot(x[here], m.readings[name][here], line, marker=marker, color=shade, linewidth=1.0, label=first)
     ax.set_xlabel(f"{axis.name}, mm" if axis is not None else "time, h")
-    ax.set_ylabel(f"reading, {' and '.join(dict.fromkeys(UNITS[_unit(n)] for n in names))}")
+    ax.set_ylabel(f"reading, {' and '.join(dict.fromkeys(ERROR_UNITS[_unit(n)] for n in names))}")
     ax.set_title(m.name)
     ax.legend(loc="best", fontsize=12)
     return figure

@@ -233,6 +233,7 @@ def _page(result: "Result", files: Sequence[Path]) -> "Page":
 def _series(traces: "Traces", s: "Series", floor: float) -> SeriesView:
     from rtec.diagnosis.search.picture import series_name
     from rtec.metrology.instruments.ball_bar import BallBar
+    from rtec.wording import ERROR_UNITS
 
     readings = traces.readings
     channels, sensors, direction = _channels(readings, s)
@@ -241,7 +242,7 @@ def _series(traces: "Traces", s: "Series", floor: float) -> SeriesView:
     bar = isinstance(instrument, BallBar) and angle is not None
     return SeriesView(
         series_name(readings, s),
-        "µrad" if s.unit == "urad" else "µm",
+        ERROR_UNITS[s.unit],
         s.row + 1,
         s.run + 1,
         channels,
@@ -415,8 +416,8 @@ class StepQuestion:
 
 def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> str:
     """Improve step by step, with a question before each; give the reason why it ended, in a sentence."""
-    from rtec.diagnosis.words import UNITS
     from rtec.report.history import fell
+    from rtec.wording import ERROR_UNITS
 
     def ask(step: "ProposedStep") -> "Finding | None":
         d = step.diagnosis
@@ -424,7 +425,9 @@ def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, 
         return next((f for f in d.findings if f.rank == rank), None)
 
     def ask_made(made: "Added") -> bool:
-        return bool(line.ask(RefitQuestion(", ".join(made.labels), fell(made.before, made.after, UNITS[made.unit]))))
+        return bool(
+            line.ask(RefitQuestion(", ".join(made.labels), fell(made.before, made.after, ERROR_UNITS[made.unit])))
+        )
 
     def keep(made: "Added") -> None:
         line.ask(StepDone(_view_of(line, made, files, named)))

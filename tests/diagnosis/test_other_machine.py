@@ -25,8 +25,10 @@ def fitted() -> tuple[Model, tuple[Measurement, ...]]:
 def test_a_file_of_another_machine_is_asked_about() -> None:
     d = diagnose(fitted()[0], [laser([*THEIRS, HEAT], 3, thermal=HOT)], draws=50)
     assert [doubt.kind for doubt in d.doubts] == ["other_machine"]
-    assert d.sentence.startswith("laser-x-3 disagrees with the readings that the model was fitted to")
-    assert "contradict each other. Check whether it is of this machine. If so, " in d.sentence
+    answer, _, doubt = d.sentence.partition(". The model leaves ")
+    assert "out of date" in answer
+    assert "µm of laser-x-3, and left " in doubt
+    assert "Check whether it is of this machine." in doubt
 
 
 @pytest.mark.parametrize("thermal", [HOT, COLD], ids=["hot", "cold"])

@@ -26,11 +26,10 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.bins import COARSE, FINE, Variable, variables_of, words_of
 from rtec.diagnosis.compare.result import Bound, Region
-from rtec.diagnosis.words import UNITS
 from rtec.estimation.floor import draws
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, Series
-from rtec.wording import number
+from rtec.wording import ERROR_UNITS, number
 
 Floats = NDArray[np.float64]
 
@@ -87,7 +86,7 @@ def _of_axis(
     if 1.0 - after / max(before, 1e-30) < MOST_OF_IT or p > APART_LEVEL:
         return None
     of = f" of {name}" if several else ""
-    words = f"moving + and moving −{of} differ by {number(abs(gap))} {UNITS.get(unit, unit)} everywhere"
+    words = f"moving + and moving −{of} differ by {number(abs(gap))} {ERROR_UNITS.get(unit, unit)} everywhere"
     bound = Bound(way.name, -1.0, 1.0, way.unit)
     return Region((bound,), before**0.5, float(left.mean()), after**0.5, len(left), p, words, (), gap)
 

@@ -14,6 +14,7 @@ from rtec.effects.derived import lag_track
 from rtec.estimation.gls import without_runs
 from rtec.estimation.gram.source import TAU_S
 from rtec.estimation.readings import Readings, Series
+from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
 
@@ -26,7 +27,6 @@ SAME_MM = 0.02
 AGAIN = "comes again at the same places"
 READINGS = 4000
 """Fewest readings in which a slow drift shows."""
-UNITS = {"um": "µm", "urad": "µrad"}
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ResidualShape:
 
 def shape_of(readings: Readings, s: Series, left: Floats) -> ResidualShape | None:
     """The simplest shape that explains most of a residual, (n,); None where none does."""
-    unit, state = UNITS[s.unit], readings.states[s.source]
+    unit, state = ERROR_UNITS[s.unit], readings.states[s.source]
     y = without_runs(s, left)
     y = y - y.mean()
     whole = float(y @ y)
@@ -62,7 +62,7 @@ def shape_of(readings: Readings, s: Series, left: Floats) -> ResidualShape | Non
         way = np.sign(state.value(axis.direction_channel)[s.row])
         if np.ptp(way):
             share, size = _explained(s, y, way[:, None])
-            words = f"steps by {2.0 * abs(size[-1]):.3g} {unit} between the directions of {axis.name}"
+            words = f"steps by {significant(2.0 * abs(size[-1]))} {unit} between the directions of {axis.name}"
             found.append((share, ResidualShape("step", axis.direction_channel, share, words)))
     for sensor in readings.machine.sensor_names:
         value = state.channels.get(sensor)
@@ -81,7 +81,7 @@ def _along(s: Series, y: Floats, x: Floats, channel: str, name: str, unit: str) 
     bend, _ = _explained(s, y, np.column_stack([u, u**2]))
     per = slope[0] / float(np.ptp(x))
     way = "rises" if per > 0.0 else "falls"
-    out = [(line, ResidualShape("line", channel, line, f"{way} straight along {name}, {abs(per):.3g} {unit}"))]
+    out = [(line, ResidualShape("line", channel, line, f"{way} straight along {name}, {significant(abs(per))} {unit}"))]
     if 1.0 - bend < SIMPLER * (1.0 - line):
         out.append((bend, ResidualShape("bend", channel, bend, f"bends along {name}")))
     return out
@@ -159,7 +159,7 @@ def drift_goes_with(readings: Readings, s: Series, left: Floats, smooth: Floats)
         taus = [tau for tau in TAU_S if tau <= 0.5 * float(np.ptp(time))]
         shapes = [(np.column_stack([now, (now - now.mean()) ** 2]), f"goes with {sensor}")]
         shapes += [
-            (lag_track(now, time, tau)[:, None], f"goes with {sensor}, about {tau / 60:.3g} min behind it")
+            (lag_track(now, time, tau)[:, None], f"goes with {sensor}, about {significant(tau / 60)} min behind it")
             for tau in taus
         ]
         for columns, what in shapes:

@@ -16,7 +16,7 @@ from rtec.estimation import floor
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings
 from rtec.machine import Machine
-from rtec.wording import significant
+from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def _events(readings: Readings, finding: Finding, source: int, part: Floats) -> 
     name = readings.measurements[source].name
     series = [s for s in readings.series if s.source == source]
     s = max(series, key=lambda one: float(np.ptp(part[one.part])))
-    unit, change = ("µrad" if s.unit == "urad" else "µm"), part[s.part]
+    unit, change = ERROR_UNITS[s.unit], part[s.part]
     if not has_instant(finding):
         size = float(np.std(change))
         message = (

@@ -28,6 +28,7 @@ from rtec.estimation.candidates import visible
 from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
+from rtec.wording import significant
 
 DEGREES = (1, 2, 3, 4)
 LETTERS = "ABCDEFGH"
@@ -343,21 +344,19 @@ def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Weighed,
     values = solve(whole, whitener(readings.values))[base.shape[1] :]
     if best.form.kind == "hump":
         what = "hump" if values[0] > 0.0 else "dip"
-        full_width = f"{FWHM * theta['width']:.2g}"
-        return f"a {what} at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}, about {full_width} {unit} wide"
+        full_width = significant(FWHM * theta["width"], 2)
+        return (
+            f"a {what} at {name} ≈ {significant(theta['centre'] + first.zero)} {unit}, about {full_width} {unit} wide"
+        )
     if best.form.kind == "step":
-        return f"a step at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}"
+        return f"a step at {name} ≈ {significant(theta['centre'] + first.zero)} {unit}"
     if best.form.kind == "wave":
         grows = best.form.grows
         searched = len(best.form.searched[0].grid) > 1
-        parts = [f"a wave with a period of {_rounded(theta['period'])} {unit}"] if searched else []
+        parts = [f"a wave with a period of {significant(theta['period'])} {unit}"] if searched else []
         parts += [] if grows is None else [f"its height changing with {named(spans[grows].name)}"]
         return ", ".join(parts)
     made = np.abs(columns @ values)
-    at = [f"{named(s.name)} ≈ {_rounded(float(readings.channel(s.name)[int(np.argmax(made))]))} "
+    at = [f"{named(s.name)} ≈ {significant(float(readings.channel(s.name)[int(np.argmax(made))]))} "
           f"{spoken(unit_of_channel(s.name))}".rstrip() for s in spans if not s.name.startswith("d_")]  # fmt: skip
     return f"largest at {', '.join(at)}" if at else ""
-
-
-def _rounded(value: float) -> str:
-    return f"{value:.3g}"

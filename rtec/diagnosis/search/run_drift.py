@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.estimation.readings import Readings, Series
-from rtec.wording import significant
+from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
 
 FEWEST = 4
 """Runs that a trend needs."""
 CHANCE = 0.01
-UNITS = {"um": "µm", "urad": "µrad"}
 
 
 def run_drifts(readings: Readings, left: Floats) -> tuple[str, ...]:
@@ -27,7 +26,7 @@ def run_drifts(readings: Readings, left: Floats) -> tuple[str, ...]:
     for s in readings.series:
         trend = _trend(s, left[s.part])
         if trend is not None and trend[1] < CHANCE:
-            unit = UNITS.get(s.unit, s.unit)
+            unit = ERROR_UNITS.get(s.unit, s.unit)
             name = f"{readings.measurements[s.source].name} {s.column}"
             way = "rises" if trend[0] > 0.0 else "falls"
             notes.append(

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from nicegui import ui
 
-from rtec.diagnosis.words import UNITS, labels
+from rtec.diagnosis.words import labels
 from rtec.errors import RtecError
 from rtec.model.history import steps_of
 from rtec.report.history import stairs
@@ -36,7 +36,7 @@ from rtec.tasks import model as model_tasks
 from rtec.tasks.jobs import Cancelled, Job
 from rtec.tasks.model import CompareView, EffectRequest, RefitQuestion, StepQuestion
 from rtec.tasks.report import ShownResidual, marked_rows
-from rtec.wording import percent, probability, significant
+from rtec.wording import ERROR_UNITS, percent, probability, significant
 
 HELP: Final = (
     "Positions x, y, z in mm; d_x is the direction of motion, -1 or +1; v_x velocity in mm/s; s_x distance since X "
@@ -157,7 +157,7 @@ def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list
     unit = steps[-1]["unit"]
     names, errors, floor = stairs(steps)
     at = len(names) - 1 - (len(steps) - len(own))
-    return names, [float(e) for e in errors], floor, UNITS.get(unit, unit), at
+    return names, [float(e) for e in errors], floor, ERROR_UNITS.get(unit, unit), at
 
 
 def _residuals(session: TabSession, view: CompareView) -> None:

@@ -7,14 +7,14 @@ import numpy as np
 from nicegui import ui
 
 from rtec.diagnosis.result import Diagnosis, Finding, Verdict
-from rtec.diagnosis.words import UNITS, fitted_numbers, labels
+from rtec.diagnosis.words import fitted_numbers, labels
 from rtec.effects import Effect
 from rtec.studio.parts import actions, figures
 from rtec.studio.parts.chart import zoomable
 from rtec.studio.parts.controls import Area, Words, button, heading, lacking, section, table, tiles, trouble
 from rtec.studio.parts.session import TabSession
 from rtec.tasks.model import SHOWN, SHOWN_CURVES, DiagnosisView, EffectRequest
-from rtec.wording import counted, odds, percent, probability, sizes
+from rtec.wording import ERROR_UNITS, counted, odds, percent, probability, sizes
 
 FIRST = 3
 """Number of candidates that are shown unfolded."""
@@ -160,7 +160,7 @@ class _Candidates:
         return card
 
     def _card(self, f: Finding, label: str) -> None:
-        session, unit = self._session, UNITS[self._view.found.unit]
+        session, unit = self._session, ERROR_UNITS[self._view.found.unit]
         about = type(f.effect).about
         with self._frame(f.rank):
             Words("h2", f"{f.rank}. {about.title}")

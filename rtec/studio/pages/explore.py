@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from nicegui import events, ui
 
-from rtec.diagnosis.words import UNITS, titled
+from rtec.diagnosis.words import titled
 from rtec.errors import RtecError
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
@@ -21,8 +21,8 @@ from rtec.studio.parts import actions, figures
 from rtec.studio.parts.chart import Chart
 from rtec.studio.parts.controls import Words, heading, label, lacking, number, waiting
 from rtec.studio.parts.session import TabSession
+from rtec.wording import ERROR_UNITS, significant
 from rtec.wording import number as shown
-from rtec.wording import significant
 
 SPEED_RPM, DEGC = 6000.0, 25.0
 MAGNIFIED: Final = (0.0, 5.0)
@@ -219,7 +219,7 @@ def _first(model: Model, others: Sequence[str]) -> dict[str, float]:
 
 
 def _bars(fed: Mapping[str, float], machine: Machine) -> dict[str, Any]:
-    units = {c: UNITS[component_unit(c)] for c in fed}
+    units = {c: ERROR_UNITS[component_unit(c)] for c in fed}
     words = {c: component_words(c, machine) for c in fed}
     figure = figures.bars(fed, units, f"component error, {' or '.join(sorted(set(units.values())))}", words)
     figure["layout"]["xaxis"]["zeroline"] = True
