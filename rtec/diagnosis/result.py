@@ -42,6 +42,7 @@ class Alike:
         label: short name with what it depends on, such as its sensor.
         gain: expected log Bayes factor of that experiment; None where it was not computed.
         apart: it explains another part of the readings: no rival, but maybe missing as well.
+        fitted: it, its coefficients zero; None where it is no candidate of the catalogue.
     """
 
     effect: str
@@ -51,6 +52,7 @@ class Alike:
     gain: float | None = None
     label: str = ""
     apart: bool = False
+    fitted: FittedEffect | None = None
 
 
 @dataclass(frozen=True)
@@ -351,7 +353,7 @@ def _finding(f: Finding) -> dict[str, Any]:
         "size_um": f.size_um,
         "accepted": f.accepted,
         "same_group_as_rank_1": f.group,
-        "confused_with": [vars(a) for a in f.confused_with],
+        "confused_with": [{k: v for k, v in vars(a).items() if k != "fitted"} for a in f.confused_with],
         "why_not": f.why_not,
         "together_with": f.partner.label if f.partner else None,
     }

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.gls import solve, without_runs
 from rtec.estimation.readings import Readings, Series
+from rtec.estimation.visible import moves
 from rtec.jit import njit
 
 Floats = NDArray[np.float64]
@@ -49,7 +50,7 @@ def smooth_columns(readings: Readings, series: Series, warm: bool = True) -> Flo
     moving = []
     for axis in readings.machine.axes:
         place = state.value(axis.channel)[rows]
-        if np.ptp(place) > 0.01 * (axis.travel_mm[1] - axis.travel_mm[0]):
+        if moves(readings.measurements[series.source], axis, rows):
             moving.append((place, np.sign(state.value(axis.direction_channel)[rows])))
     names = ("spindle_rpm", "load_kg", "feed_mm_min", *(a.velocity_channel for a in readings.machine.axes))
     speeds = [state.channels[n][rows] for n in names if n in state.channels]

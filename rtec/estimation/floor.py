@@ -23,13 +23,13 @@ from rtec.estimation.flexible import NEAR_DEGC, flexible_columns
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.noise import Noise, Whitener, noise_on_stretches
 from rtec.estimation.readings import Readings, Series, row_codes
+from rtec.estimation.visible import same_place_mm
 from rtec.estimation.whitening import drift_draws
 from rtec.jit import njit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SAME_MM = 0.02
 SAME_RPM = 1.0
 FEWEST = 20
 """Degrees of freedom ("differences between repeats") below which repeats do not determine the floor."""
@@ -111,7 +111,7 @@ def _pose_codes(readings: Readings, series: Sequence[Series]) -> Ints:
     rows = []
     for s in series:
         state = readings.states[s.source]
-        keys = [*np.round(readings.poses_mm[s.source][s.row] / SAME_MM).T]
+        keys = [*np.round(readings.poses_mm[s.source][s.row] / same_place_mm(readings.measurements[s.source])).T]
         keys += [np.sign(state.value(a.direction_channel)[s.row]) for a in axes]
         for name, step in steps.items():
             value = state.channels[name][s.row] if name in state.channels else np.zeros(len(s))

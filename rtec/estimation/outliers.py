@@ -24,6 +24,7 @@ from rtec.estimation.end_targets import EndTargets, end_targets
 from rtec.estimation.flexible import smooth_columns
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings, Series, read, row_codes
+from rtec.estimation.visible import same_place_mm
 from rtec.jit import njit
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import MANY
@@ -52,7 +53,6 @@ MOST, FEW = 0.05, 3
 """More than this share of a series, and more than a few, are no mistakes of reading."""
 MOST_WILD = 0.1
 """With wild bursts: more than this share."""
-PLACE_MM = 0.02
 ROUNDS = 4
 """Number of fits of the smooth part; wrong readings bend it, so far ones get less weight in the next fit."""
 REACH = 5
@@ -246,7 +246,7 @@ def _places(readings: Readings, s: Series) -> tuple[Ints, bool]:
     pose = readings.poses_mm[s.source][s.row]
     if not len(pose) or float(np.ptp(pose, axis=0).max(initial=0.0)) < STILL_MM:
         return np.zeros(len(s), dtype=np.int64), True
-    columns = [np.round(pose[:, i] / PLACE_MM) for i in range(pose.shape[1])]
+    columns = [*np.round(pose / same_place_mm(readings.measurements[s.source])).T]
     columns += [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
     return row_codes(np.stack(columns)), False
 

@@ -15,6 +15,7 @@ from rtec.effects.cyclic import CouplingMisalignment, CyclicPole, CyclicScrew, I
 from rtec.estimation.display import display_errors
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.readings import Readings
+from rtec.estimation.visible import same_place_mm
 from rtec.machine import Axis
 
 Floats = NDArray[np.float64]
@@ -22,7 +23,6 @@ Floats = NDArray[np.float64]
 WAVES = (CyclicScrew, CouplingMisalignment, InterpolationError, CyclicPole)
 FEW = 60
 """Most targets that are held out in turn; a wave that fits more of them is no pattern."""
-TARGET_MM = 0.02
 BEND = 3
 """Degree of the curve along the axis that is fitted beside the wave."""
 FOLDS = 8
@@ -33,8 +33,14 @@ RIDGE = 1e-9
 
 def targets_along(readings: Readings, axis: Axis, component: str) -> int:
     """Number of different positions along an axis at which readings see a component error."""
-    position = np.concatenate([readings.states[s.source].value(axis.channel)[s.row] for s in readings.series])
-    return len(np.unique(np.round(position[np.flatnonzero(readings.arms(component))] / TARGET_MM)))
+    return len(np.unique(_targets(readings, axis)[np.flatnonzero(readings.arms(component))]))
+
+
+def _targets(readings: Readings, axis: Axis) -> Floats:
+    """Number of the target of each reading along an axis, (m,)."""
+    i = readings.machine.axes.index(axis)
+    step_mm = min(float(same_place_mm(m)[i]) for m in readings.measurements)
+    return np.concatenate([np.round(readings.poses_mm[s.source][s.row, i] / step_mm) for s in readings.series])
 
 
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
@@ -55,7 +61,7 @@ def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: S
         return True
     position = np.concatenate([readings.states[s.source].value(axis.channel)[s.row] for s in readings.series])
     seen = np.flatnonzero(readings.arms(effect.component))
-    target = np.unique(np.round(position[seen] / TARGET_MM), return_inverse=True)[1]
+    target = np.unique(_targets(readings, axis)[seen], return_inverse=True)[1]
     count = np.bincount(target)
     left = without_nuisance(readings, readings.values - base @ solve(base, readings.values))
     mean = np.bincount(target, left[seen]) / count

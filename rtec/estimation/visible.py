@@ -13,8 +13,11 @@ from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
 
-MOVES = 0.01
-"""An axis is seen where it moves by at least this share of its travel."""
+MOVES, FINELY_MM = 0.01, 0.02
+"""An axis moves if it covers more than this share of its travel. The axis that an instrument follows also moves if it
+covers more than this distance: fine steps over a few periods of a scale or turns of a screw."""
+SAME_MM, PLACES_ACROSS = 0.02, 200
+"""Positions within this distance are one place; within less where so many would not fit into the way."""
 NO_ARM = 1e-12
 ONE = 1e-6
 """A lever arm of one, to rounding."""
@@ -150,10 +153,33 @@ def _spindle(machine: Machine) -> str:
     return (named or fixed or [""])[0]
 
 
-def moves(measurement: Measurement, axis: Axis) -> bool:
-    """Whether an axis moved far enough to be seen."""
+def moves(measurement: Measurement, axis: Axis, rows: NDArray[np.intp] | slice = slice(None)) -> bool:
+    """Whether an axis moved far enough to be seen.
+
+    Args:
+        measurement: of its machine.
+        axis: the axis.
+        rows: which rows count; by default all.
+    """
     position = measurement.channels.get(axis.channel)
-    return position is not None and float(np.ptp(position)) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0])
+    if position is None:
+        return False
+    least = MOVES * (axis.travel_mm[1] - axis.travel_mm[0])
+    if measurement.instrument.axis == axis.name:
+        least = min(least, FINELY_MM)
+    return float(np.ptp(position[rows])) > least
+
+
+def same_place_mm(measurement: Measurement) -> Floats:
+    """Distance along each axis within which two positions are one place, mm, (axes,).
+
+    Of the axis that an instrument follows in steps of micrometres it is smaller than the steps.
+    """
+    out = np.full(len(measurement.machine.axes), SAME_MM)
+    for i, axis in enumerate(measurement.machine.axes):
+        if measurement.instrument.axis == axis.name and moves(measurement, axis):
+            out[i] = min(SAME_MM, float(np.ptp(measurement.channels[axis.channel])) / PLACES_ACROSS)
+    return out
 
 
 def _axis_name(component: str, machine: Machine) -> str | None:

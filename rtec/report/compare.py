@@ -7,13 +7,14 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare.bins import MOVES, REAL_DEGC, cut_into, time_unit
+from rtec.diagnosis.compare.bins import REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.compare.compare import SLOW, SURELY
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
 from rtec.diagnosis.compare.shape import AGAIN
 from rtec.diagnosis.words import named, sentence, spoken
 from rtec.estimation.outliers import left_out
 from rtec.estimation.readings import Readings, Series
+from rtec.estimation.visible import moves
 from rtec.report import compare_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
@@ -355,7 +356,7 @@ def _main_axis(readings: Readings, s: Series) -> tuple[str, Floats, Floats] | No
     for axis in readings.machine.axes:
         place = state.value(axis.channel)[s.row]
         span = float(np.ptp(place))
-        if span > MOVES * (axis.travel_mm[1] - axis.travel_mm[0]) and (best is None or span > best[0]):
+        if moves(readings.measurements[s.source], axis, s.row) and (best is None or span > best[0]):
             best = span, f"{axis.name}, mm", place, np.sign(state.value(axis.direction_channel)[s.row])
     return None if best is None else best[1:]
 

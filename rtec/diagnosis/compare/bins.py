@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.compare.result import Bound
 from rtec.diagnosis.words import spoken, unit_of_channel
 from rtec.estimation.readings import Readings, Series
+from rtec.estimation.visible import moves
 from rtec.machine import Machine
 
 Floats = NDArray[np.float64]
@@ -20,8 +21,6 @@ FINE, COARSE = 20, 8
 FEW_VALUES = 8
 """A channel with at most this many values is described by its values."""
 REAL_DEGC = 0.5
-MOVES = 0.01
-"""An axis that moved by less than this share of its travel was at rest."""
 LADDER = (1.0, 2.0, 5.0, 10.0)
 
 
@@ -76,7 +75,7 @@ def _values(readings: Readings, series: Series) -> list[tuple[str, Floats]]:
     out: list[tuple[str, Floats]] = []
     for axis in machine.axes:
         place = state.value(axis.channel)[rows]
-        if np.ptp(place) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0]):
+        if moves(readings.measurements[series.source], axis, rows):
             out += [(axis.channel, place), (axis.direction_channel, np.sign(state.value(axis.direction_channel)[rows]))]
             if axis.velocity_channel in state.channels:
                 out.append((axis.velocity_channel, state.channels[axis.velocity_channel][rows]))

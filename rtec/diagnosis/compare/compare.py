@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare.bins import MOVES, unit_of
+from rtec.diagnosis.compare.bins import unit_of
 from rtec.diagnosis.compare.locate import locate
 from rtec.diagnosis.compare.result import Compared, Comparison, EffectShare, Outside, Region, Size, Traces
 from rtec.diagnosis.compare.shape import drift_goes_with, shape_of
@@ -25,6 +25,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
 from rtec.estimation.outliers import clean, outlier_words
 from rtec.estimation.readings import Readings, Series
+from rtec.estimation.visible import moves
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -173,12 +174,12 @@ def explained(measured: float, left: float, floor: float) -> float | None:
 
 def _sees(readings: Readings, s: Series) -> tuple[str, ...]:
     """Component errors that a series sees: its own, or those of axes that moved, or of fixed links where none did."""
-    instrument, machine = readings.measurements[s.source].instrument, readings.machine
+    measurement, machine = readings.measurements[s.source], readings.machine
+    instrument = measurement.instrument
     if instrument.component is not None:
         return (instrument.component,)
     there = [c for c in machine.components if np.abs(readings.arms(c)[s.part]).max() > NO_ARM]
-    pose = readings.poses_mm[s.source][s.row]
-    moved = {a.name for i, a in enumerate(machine.axes) if np.ptp(pose[:, i]) > MOVES * _travel(a.travel_mm)}
+    moved = {a.name for a in machine.axes if moves(measurement, a, s.row)}
     by_motion = [c for c in there if c[2:] in moved]
     return tuple(by_motion or _of_fixed_links(there, machine))
 
@@ -188,10 +189,6 @@ def _of_fixed_links(there: Sequence[str], machine: Machine) -> list[str]:
     fixed = [c for c in there if c[3:] not in machine.axis_names and c[2:] not in machine.axis_names]
     spindle = [c for c in fixed if "spindle" in c[3:].lower()]
     return spindle or fixed
-
-
-def _travel(ends: Sequence[float]) -> float:
-    return float(ends[1] - ends[0])
 
 
 def _parts(model: Model, traces: Traces, s: Series) -> tuple[EffectShare, ...]:

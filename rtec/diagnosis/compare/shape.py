@@ -14,6 +14,7 @@ from rtec.effects.derived import lag_track
 from rtec.estimation.gls import without_runs
 from rtec.estimation.gram.source import TAU_S
 from rtec.estimation.readings import Readings, Series
+from rtec.estimation.visible import moves, same_place_mm
 from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
@@ -23,7 +24,6 @@ MOST_OF_IT = 0.5
 SIMPLER = 0.8
 """A bend is named only where its residual has less than this share of the line's mean square."""
 REAL_DEGC = 0.5
-SAME_MM = 0.02
 AGAIN = "comes again at the same places"
 READINGS = 4000
 """Fewest readings in which a slow drift shows."""
@@ -57,7 +57,7 @@ def shape_of(readings: Readings, s: Series, left: Floats) -> ResidualShape | Non
     found: list[tuple[float, ResidualShape]] = []
     for axis in readings.machine.axes:
         place = state.value(axis.channel)[s.row]
-        if np.ptp(place) > 0.01 * (axis.travel_mm[1] - axis.travel_mm[0]):
+        if moves(readings.measurements[s.source], axis, s.row):
             found += _along(s, y, place / 1e3, axis.channel, axis.name, f"{unit}/m")
         way = np.sign(state.value(axis.direction_channel)[s.row])
         if np.ptp(way):
@@ -104,7 +104,8 @@ def comes_again(readings: Readings, s: Series, left: Floats) -> float:
     """
     state = readings.states[s.source]
     poses = readings.poses_mm[s.source][s.row]
-    keys = [np.round(poses / SAME_MM)]
+    same_mm = same_place_mm(readings.measurements[s.source])
+    keys = [np.round(poses / same_mm)]
     keys += [np.sign(state.value(a.direction_channel)[s.row])[:, None] for a in readings.machine.axes]
     place = np.unique(np.concatenate(keys, axis=1), axis=0, return_inverse=True)[1].ravel()
     if len(np.unique(place)) < 2 or s.run[0] == s.run[-1]:
@@ -113,7 +114,7 @@ def comes_again(readings: Readings, s: Series, left: Floats) -> float:
     count = np.bincount(place)[place] - 1
     again, others = count > 0, (np.bincount(place, y)[place] - y) / np.maximum(count, 1)
     if again.sum() < MOST_OF_IT * len(y):
-        moving = np.flatnonzero(np.ptp(poses, axis=0) > SAME_MM)
+        moving = np.flatnonzero(np.ptp(poses, axis=0) > same_mm)
         if len(moving) != 1:
             return 0.0
         again, others = np.ones(len(y), dtype=bool), _nearest_in_other_runs(poses[:, moving[0]], s, y)

@@ -5,6 +5,7 @@ A user requests an effect by its name, a component and its arguments.
 Where the readings cannot separate the added effect from others, those rivals are recorded.
 """
 
+import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -122,6 +123,12 @@ WORTH = 1e-3
 CLEARLY = 0.02
 """A fall of the error on held-out runs by more than this share is clear: then a model keeps its own numbers, or gets an
 effect."""
+HOLDS, NEARLY = 0.95, 1.1
+"""A model keeps its own numbers where the addition then still removes this share of its mean square, of what it removes
+with all numbers refitted, and held-out runs are predicted within the second factor: the numbers are no reason for what
+it left. Slow drift, which the numbers follow, does not count."""
+FAR = 5.0
+"""A number that moves by this many standard errors is another one."""
 SHARPER, SURELY = 0.1, 10.0
 """Beyond slow drift, a fall of the mean square on held-out runs by more than this share and of the logarithm of the
 likelihood by more than the second is clear."""
@@ -279,7 +286,8 @@ def _add(
         other = _judged(model, new, measurements, there, kept, margin, own, own)
         settles = bool(after.undetermined) and not kept.undetermined and other.better
         lower, n = other.after.held_out < (1.0 - CLEARLY) * made.after.held_out, len(readings)
-        if settles or (lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))):
+        clearly = lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))
+        if settles or clearly or _holds(model, there, made, other):
             after, made = kept, other
     progress("held-out runs", 3, 3)
     named, known = labels(after.effects), set(before.undetermined if new else after.undetermined)
@@ -292,6 +300,39 @@ def _add(
         better=better,
         doubts=tuple(d.words for d in wrong),
     )
+
+
+def far_apart(was: FittedEffect, now: FittedEffect, name: str, far: float = FAR) -> bool:
+    """Whether a number of an effect moved by `far` standard errors, its own and the new one's together.
+
+    A number without a standard error is known too little for that.
+    """
+    known, error = was.errors.get(name, 0.0), now.errors.get(name, 0.0)
+    return known > 0.0 and abs(now.values[name] - was.values[name]) > far * math.hypot(known, error)
+
+
+def moves_far(model: Model, made: Added) -> bool:
+    """Whether a refit moves a number of a model far from what it was known to be."""
+    pairs = zip(model.effects, made.model.effects, strict=False)
+    return any(far_apart(was, now, n) for was, now in pairs for n in was.values)
+
+
+def _holds(model: Model, given: Clean, made: Added, kept: Added) -> bool:
+    """Whether what is new explains what the model leaves nearly as well if the model keeps its own numbers.
+
+    This is asked only where the refit moves them far from what they were known to be.
+
+    Args:
+        model: the model before.
+        given: the readings.
+        made: with all numbers refitted.
+        kept: with the model's own numbers.
+    """
+    if not moves_far(model, made) or not kept.better or kept.after.held_out > NEARLY * made.after.held_out:
+        return False
+    free, fixed = made.after.beyond_drift, kept.after.beyond_drift
+    there = Judgement(model, given).beyond_drift(Judgement(made.model, given).flexible, kept.own_kept)
+    return there**2 - fixed**2 >= HOLDS * (there**2 - free**2)
 
 
 def in_doubt(judged: Judgement) -> tuple[Doubt, ...]:

@@ -12,9 +12,11 @@ from rtec.diagnosis.extend.add import (
     Added,
     PassedOver,
     add,
+    far_apart,
     gains,
     in_doubt,
     is_there,
+    moves_far,
     new_effect,
     residual_size,
     rival_notes,
@@ -54,7 +56,8 @@ MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
 LOOSER = 3.0
-"""By this factor a further temperature may enlarge the standard error of a number that is then near zero."""
+"""By this factor a further temperature may enlarge the standard error of a number that is then near zero, or moves by
+`DETERMINED` standard errors."""
 TRIED = 6
 """This many further temperatures are added on trial."""
 VISIBLE = 0.35
@@ -192,6 +195,9 @@ def _improved(
         return Improved(model, (), (found,), "undecided")
     if found.verdict == "nothing_missing" and not found.out_of_date:  # nor are they refitted to a drift
         return Improved(model, (), (found,), "nothing_missing")
+    holding = growth.holding(model, found)
+    if holding is not None:
+        return growth.grown(model, ask, ask_made, holding)
     if ask_made is None and _changes_slowly(found, model.machine):
         return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
     if ask_made is not None and not ask_made(refit):
@@ -286,8 +292,15 @@ class _Growth:
         model: Model,
         ask: Callable[[ProposedStep], Finding | None] | None,
         ask_made: Callable[[Added], bool] | None,
+        known: Diagnosis | None = None,
     ) -> Improved:
-        """Diagnose and add in turn."""
+        """Diagnose and add in turn.
+
+        Args:
+            model: the model.
+            ask, ask_made: as of `improve`.
+            known: the diagnosis of the model, where it is known.
+        """
         steps: list[Added] = []
         diagnoses: list[Diagnosis] = []
         declined = False
@@ -300,7 +313,7 @@ class _Growth:
             if further is not None and not declined:
                 model = self._taken(further, steps)
                 continue
-            found = self.diagnosed(model)
+            found, known = known or self.diagnosed(model), None
             diagnoses.append(found)
             if not found.findings or not found.findings[0].accepted:
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
@@ -321,15 +334,7 @@ class _Growth:
                 continue
             if of_record(picked.effect, model.machine) and (ask or found.verdict != "ambiguous"):
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
-            # An effect that these data cannot distinguish from it may replace it, except one of the time.
-            # Where several are missing together, the first alone may gain nothing: then any of the sure ones may begin.
-            others = [f for f in found.findings if (f.group or found.together) and f.log_evidence > SURE]
-            others = [f for f in others if f is not picked]
-            others = [f for f in others if f.heldout_drop > 0.0]
-            if choice.partner is not None:  # of a pair, each alone
-                others = [choice.partner, replace(choice, partner=None)]
-            others = [] if ask else others
-            added = self._first_gain(model, found, [picked, *others])
+            added = self._first_gain(model, found, [picked] if ask else _choices(found, picked))
             if added is None:
                 narrow = hardly_varied(model, picked.effect, self.given.readings)
                 reason: Reason = "narrow_range" if narrow else "no_gain"
@@ -360,6 +365,34 @@ class _Growth:
                 return replace(added, notes=(FURTHER, *added.notes))
         return None
 
+    def holding(self, model: Model, found: Diagnosis) -> Diagnosis | None:
+        """The same, the candidate first beside which the model's own numbers hold, though they look out of date.
+
+        Of several that cannot be distinguished by these readings alone, the numbers that the model has from others
+        decide. None where the numbers are out of date beside each.
+        """
+        first = _taken_alone(found, model.machine) if found.findings and found.findings[0].accepted else None
+        if first is None or found.verdict not in ("missing_effect", "ambiguous") or self.own < len(model.effects):
+            return None
+
+        def hold(new: Sequence[FittedEffect]) -> bool:
+            added = self._gaining(model, new)
+            return added is not None and (added.own_kept > 0 or not moves_far(model, added))
+
+        if len(found.together) > 1:
+            members = [m.fitted for m in found.together]
+            return found if hold([new_effect(f.effect, model, f.theta, f.values) for f in members]) else None
+        # Of those of one shape in these readings the diagnosis fitted one.
+        alike = [a.fitted for a in first.confused_with if not a.apart and a.fitted is not None]
+        same = [replace(first, effect=f.effect, theta=f.theta, parameters={}, partner=None) for f in alike]
+        known = [f.effect for f in found.findings]
+        choices = [*_choices(found, first), *(f for f in same if f.effect not in known)]
+        lead = next((f for f in choices if hold(_new_effects(f, model))), None)
+        if lead is None:
+            return None
+        ordered = [replace(lead, accepted=True), *(f for f in found.findings if f is not lead)]
+        return replace(found, findings=tuple(replace(f, rank=i) for i, f in enumerate(ordered, 1)))
+
     def _several(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
         """The model with the effects that are named together, in turn; one that gains nothing alone waits for the next.
 
@@ -378,9 +411,7 @@ class _Growth:
     def _first_gain(self, model: Model, found: Diagnosis, findings: Sequence[Finding]) -> Added | None:
         """The first addition that predicts held-out runs better on the channels that the loop has."""
         for finding in findings:
-            pair = [finding] if finding.partner is None else [finding, finding.partner]
-            new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
-            added = self._gaining(model, new)
+            added = self._gaining(model, _new_effects(finding, model))
             if added is not None:
                 rivals = rivals_of(found, finding)
                 notes = rival_notes(finding, rivals) if rivals else ()
@@ -422,6 +453,24 @@ class _Growth:
         return residual_size(added.model.effects, self.given.readings) <= (1.0 + WORTH) * self.best
 
 
+def _new_effects(finding: Finding, model: Model) -> list[FittedEffect]:
+    """The effect of a candidate, and its partner, with the numbers that the diagnosis found."""
+    pair = [finding] if finding.partner is None else [finding, finding.partner]
+    return [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
+
+
+def _choices(found: Diagnosis, first: Finding) -> list[Finding]:
+    """A candidate and those that may replace it.
+
+    These are effects that these data cannot distinguish from it. Where several are missing together, the first alone
+    may gain nothing: then any of the sure ones may begin. Of a pair, each alone.
+    """
+    if first.partner is not None:
+        return [first, first.partner, replace(first, partner=None)]
+    others = [f for f in found.findings if (f.group or found.together) and f.log_evidence > SURE]
+    return [first, *(f for f in others if f is not first and f.heldout_drop > 0.0)]
+
+
 def _same_body(one: FittedEffect, other: FittedEffect) -> bool:
     """Whether two effects are the same one, perhaps by different temperatures."""
     return (one.effect.effect, one.effect.component) == (other.effect.effect, other.effect.component)
@@ -452,7 +501,8 @@ def _determined(before: Model, added: Added) -> bool:
         return abs(f.values[name]) > DETERMINED * f.errors.get(name, 0.0)
 
     def as_before(was: FittedEffect, now: FittedEffect, name: str) -> bool:
-        return known(now, name) or now.errors.get(name, 0.0) <= LOOSER * was.errors.get(name, math.inf)
+        near = known(now, name) and not far_apart(was, now, name, DETERMINED)
+        return near or now.errors.get(name, 0.0) <= LOOSER * was.errors.get(name, math.inf)
 
     apart = [(w, now) for w, now in zip(before.effects, others, strict=True) if not _same_body(now, last)]
     as_well = all(as_before(was, now, n) for was, now in apart for n in now.values)

@@ -256,7 +256,9 @@ class _Answer:
                 behind = 0.0
             if same:
                 name = other.effect, other.component, getattr(other, "sensor", None) or ""
-                out.setdefault(name, (alike(mine, other, cos, behind), number))
+                theta = self.s.candidates[number].thetas[found.variants[found.best[number]].theta]
+                fitted_as = FittedEffect(other, {}, theta)
+                out.setdefault(name, (replace(alike(mine, other, cos, behind), fitted=fitted_as), number))
         rivals = [r for r in out.values() if not r[0].apart]
         evidence = {t.number: t.log_evidence for t in refitted}
         listed = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
