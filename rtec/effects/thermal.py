@@ -5,8 +5,11 @@ Symbols: `ΔT` temperature above the model's reference, K; `q` position, mm; `L[
 """
 
 import itertools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal
+
+from pydantic import SerializerFunctionWrapHandler, model_serializer
 
 from rtec.effects.base import (
     About,
@@ -26,6 +29,10 @@ from rtec.quantities import Millimetres
 
 LAGS_S = (300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0)
 TAU = Parameter("tau", "s", 1800.0, 10.0, 40000.0, 1800.0, LAGS_S)
+SIDES = frozenset(
+    ["front", "back", "rear", "left", "right", "top", "bottom", "upper", "lower", "inner", "outer", "inside", "outside"]
+)
+"""Words for the sides of one part in the names of sensors."""
 SLOW = Parameter("tau", "s", 7200.0, 10.0, 40000.0, 7200.0, (1200.0, 2400.0, 4800.0, 9600.0, 19200.0))
 
 
@@ -33,6 +40,12 @@ def named(sensors: Sequence[str], *words: str) -> list[str]:
     """Sensors with one of the words in their names; all where none has."""
     found = [s for s in sensors if any(w in s.lower() for w in words)]
     return found or list(sensors)
+
+
+def of_one_part(one: str, other: str) -> bool:
+    """Whether two sensors are on one part by their names: `T_col_front` and `T_col_back`, `T_left` and `T_right`."""
+    mine, its = ({w for w in re.split(r"[^a-z]+", s.lower()) if len(w) > 1} for s in (one, other))
+    return bool(mine & its) or bool(mine & SIDES and its & SIDES)
 
 
 class OneSensor(Effect):
@@ -152,11 +165,11 @@ class AxisExpansionNonuniform(OneSensor, AxisEffect):
 
 
 class ColumnTilt(Effect):
-    """A temperature difference bends or tilts a part: `e = k (T_front - T_back)`."""
+    """A temperature difference bends or tilts a part: `e = k (T_front - T_back)`, as read or lagged."""
 
     about: ClassVar[About] = About(
         title="Temperature difference bends a part",
-        equation="e = k·(T_front - T_back)",
+        equation="e = k·(T_front - T_back), or k·L[T_front - T_back] with lag = true",
         typical="5-20 µrad/K",
         seen_by=("spindle_drift", "level", "tool_tip"),
         source="[G 3.6]: temperature differences",
@@ -172,6 +185,23 @@ class ColumnTilt(Effect):
     effect: Literal["column_tilt"] = "column_tilt"
     front: str
     back: str
+    lag: bool = False
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, serialized: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without `lag` where it is false: models from before it keep their hash."""
+        return {k: v for k, v in serialized(self).items() if k != "lag" or v}
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """Every pair of sensors; also lagged where both are on one part by their names, or where no names are so.
+
+        The middle of a thick wall warms up after both of its sides.
+        """
+        pairs = list(super().arguments(around))
+        yield from pairs
+        same = [p for p in pairs if of_one_part(p["front"], p["back"])]
+        yield from ({**pair, "lag": True} for pair in same or pairs)
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator[Effect]:
@@ -194,6 +224,16 @@ class ColumnTilt(Effect):
         del machine
         return (Parameter("k", f"{self.unit}_per_degc", typical=2.0),)
 
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`tau` where the difference is lagged."""
+        del machine
+        return (TAU,) if self.lag else ()
+
+    def difference(self, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """Temperature difference, K; lagged where `lag` is set."""
+        difference = channels.rise(self.front) - channels.rise(self.back)
+        return channels.lagged(difference, theta["tau"]) if self.lag else difference
+
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read both sensors."""
         del machine
@@ -201,8 +241,8 @@ class ColumnTilt(Effect):
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`T_front - T_back`."""
-        del machine, theta
-        return [channels.rise(self.front) - channels.rise(self.back)]
+        del machine
+        return [self.difference(channels, theta)]
 
 
 class BedBending(ColumnTilt, AxisEffect):
@@ -231,9 +271,8 @@ class BedBending(ColumnTilt, AxisEffect):
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`(T_front - T_back) u²`."""
-        del theta
         u = scaled(self.the_axis(machine), channels)
-        return [(channels.rise(self.front) - channels.rise(self.back)) * u * u]
+        return [self.difference(channels, theta) * u * u]
 
 
 class MountExpansion(OneSensor):

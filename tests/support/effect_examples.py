@@ -137,6 +137,11 @@ OF_PLACE_AND_HEAT: tuple[Example, ...] = (
         fixed_theta(lambda s: [s.value("T_column") - s.value("T_air")]), front="T_column", back="T_air",
     ),
     example(
+        "column_tilt", "EB0turret", {"k": "urad_per_degc"},
+        lambda s, t: [lag(s.value("T_column") - s.value("T_air"), t["tau"])], {"tau": 2400.0},
+        front="T_column", back="T_air", lag=True,
+    ),
+    example(
         "spindle_growth", "EZ0spindle", {"k": "um_per_degc"}, fixed_theta(lambda s: [rise(s, "T_spindle")]),
         sensor="T_spindle",
     ),
@@ -163,6 +168,11 @@ OF_PLACE_AND_HEAT: tuple[Example, ...] = (
         "bed_bending", "EYZ", {"k": "um_per_degc"},
         fixed_theta(lambda s: [(s.value("T_bed") - s.value("T_air")) * scaled(s, "Z") ** 2]),
         axis="Z", front="T_bed", back="T_air",
+    ),
+    example(
+        "bed_bending", "EXZ", {"k": "um_per_degc"},
+        lambda s, t: [lag(s.value("T_bed") - s.value("T_air"), t["tau"]) * scaled(s, "Z") ** 2], {"tau": 900.0},
+        axis="Z", front="T_bed", back="T_air", lag=True,
     ),
     example(
         "coolant_expansion", "EX0workpiece", {"k": "um_per_degc"}, fixed_theta(lambda s: [rise(s, "T_air")]),

@@ -8,6 +8,7 @@ from itertools import islice
 from typing import Any, ClassVar, Literal
 
 from rtec.diagnosis.extend.add import (
+    CLEARLY,
     WORTH,
     Added,
     PassedOver,
@@ -236,7 +237,7 @@ class _Growth:
         self.cancelling: tuple[str, ...] = ()
         self.events: list[RecordEvent] = []
         self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
-        self.best = residual_size(start.effects, given.readings)
+        self.best, self.shown = self._sizes(start)
         again = any(m.fingerprint in start.measurements.values() for m in measurements)
         # Effects whose numbers were not fitted to these readings.
         self.own = 0 if again else len(start.effects)
@@ -284,7 +285,7 @@ class _Growth:
         out, events = taken_out(readings, Judgement(model, self.given).left, chosen)
         self.given = replace(self.given, readings=out)
         self.events += events
-        self.best = residual_size(model.effects, out)
+        self.best, self.shown = self._sizes(model)
         return bool(events)
 
     def grown(
@@ -304,7 +305,7 @@ class _Growth:
         steps: list[Added] = []
         diagnoses: list[Diagnosis] = []
         declined = False
-        self.best = min(self.best, residual_size(model.effects, self.given.readings))
+        self._size_of(model)
         while len(steps) < MOST:
             worth = bool(steps) and not declined and not _at_floor(steps[-1])
             further = self._further(model) if worth else None
@@ -349,7 +350,7 @@ class _Growth:
         self.own = added.own_kept
         if self.step:
             self.step(added)
-        self.best = min(self.best, residual_size(added.model.effects, self.given.readings))
+        self._size_of(added.model)
         return added.model
 
     def _further(self, model: Model) -> Added | None:
@@ -449,8 +450,22 @@ class _Growth:
         )
 
     def _no_worse(self, added: Added) -> bool:
-        """Whether the residual of a model is no larger than that of the start and of every earlier step."""
-        return residual_size(added.model.effects, self.given.readings) <= (1.0 + WORTH) * self.best
+        """Whether the residual of a model is no larger than that of the start and of every earlier step.
+
+        It is measured relative to the readings of each instrument, and as it is shown, in µm or µrad.
+        """
+        best, shown = self._sizes(added.model)
+        return best <= (1.0 + WORTH) * self.best and shown <= (1.0 + CLEARLY) * self.shown
+
+    def _sizes(self, model: Model) -> tuple[float, float]:
+        judged = Judgement(model, self.given)
+        best = residual_size(model.effects, self.given.readings)
+        return best, best if judged.unit == "noise" else judged.residual
+
+    def _size_of(self, model: Model) -> None:
+        """Remember the residual of a model that is kept."""
+        best, shown = self._sizes(model)
+        self.best, self.shown = min(self.best, best), min(self.shown, shown)
 
 
 def _new_effects(finding: Finding, model: Model) -> list[FittedEffect]:

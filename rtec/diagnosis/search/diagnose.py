@@ -27,6 +27,7 @@ from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, curves_
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
+from rtec.estimation.gls import held_out_gain
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
@@ -532,6 +533,8 @@ class _Search:
         chain = self.refits.chain([first], bar, plain) if first is not None else []
         if not chain or chain[-1].drop < LITTLE or self._top_shape is None:
             return chain if chain and chain[-1].drop >= LITTLE else []
+        if chain[-1].drop <= MAIN and not self._simplify(chain, self._top_shape):
+            return []
         # What reads anything beyond the shape must be as significant beside it: else it only follows the shape.
         places = {c for a in machine.axes for c in (a.channel, *a.moving_channels)}
         for t in chain:
@@ -539,6 +542,24 @@ class _Search:
             if beyond and self.refits.beside_columns(t, self._top_shape.columns) < bar:
                 return []
         return chain
+
+    def _simplify(self, chain: Sequence[Refitted], top: Shaped) -> bool:
+        """Whether effects and the best shape of what they leave are likelier than the best shape of everything.
+
+        A plain effect takes a part of nearly any shape; if the shape of the rest needs as much, the effect is no cause.
+        """
+        base, fit = chain[-1].fit.columns, chain[-1].fit
+        noises = fit.whitener, without_drift(fit.whitener)
+        rest = best_shapes(
+            self.readings,
+            base,
+            noises,
+            self.refits.fit,
+            fit,
+            lambda noise, columns: held_out_gain(noise, base, columns),
+        )
+        best = max((t.log_evidence for t in rest), default=None)
+        return best is None or chain[-1].log_evidence + best > top.log_evidence
 
     def _beside_curve(self, p: float) -> tuple[list[Refitted], Shaped | None]:
         """Effects beside a curve over one variable, and that curve, where both are likelier than the best shape.
@@ -571,7 +592,9 @@ class _Search:
         alone = self.refits.instead_of_shape(best, curve.fit, curve.log_evidence, bar, plain)
         if alone and alone[-1].log_evidence > best[-1].log_evidence and 1.0 - alone[-1].drop <= least:
             return alone, None  # the curve has a name, too
-        return self.refits.without_shape(best, curve.columns), curve
+        alone = self.refits.without_shape(best, curve.columns)
+        # Without the curve, which no model gets, they must help as well.
+        return (alone, curve) if alone[-1].drop > 0.0 else ([], None)
 
     def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
         """Simple effects that are missing together; empty where the best alone, or with others later, is the answer.
