@@ -26,7 +26,7 @@ from rtec.diagnosis.extend.add import (
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import further_temperatures, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
-from rtec.diagnosis.search.diagnose import DRAWS, diagnose
+from rtec.diagnosis.search.diagnose import DRAWS, LEAST, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import ModelError
@@ -37,6 +37,7 @@ from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.result import Result
+from rtec.wording import percent
 
 Stage = Callable[[str, int, int], None]
 Reason = Literal[
@@ -59,6 +60,8 @@ DETERMINED = 3.0
 LOOSER = 3.0
 """By this factor a further temperature may enlarge the standard error of a number that is then near zero, or moves by
 `DETERMINED` standard errors."""
+MOSTLY = 0.75
+"""The nearest effect to what has no name is added where it removes this share of the held-out mean square error."""
 TRIED = 6
 """This many further temperatures are added on trial."""
 VISIBLE = 0.35
@@ -316,7 +319,7 @@ class _Growth:
                 continue
             found, known = known or self.diagnosed(model), None
             diagnoses.append(found)
-            if not found.findings or not found.findings[0].accepted:
+            if not _proposes(found):
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
             if not ask and found.verdict == "undecided":
                 return Improved(model, tuple(steps), tuple(diagnoses), "undecided")
@@ -372,8 +375,8 @@ class _Growth:
         Of several that cannot be distinguished by these readings alone, the numbers that the model has from others
         decide. None where the numbers are out of date beside each.
         """
-        first = _taken_alone(found, model.machine) if found.findings and found.findings[0].accepted else None
-        if first is None or found.verdict not in ("missing_effect", "ambiguous") or self.own < len(model.effects):
+        first = _taken_alone(found, model.machine) if _proposes(found) and found.verdict != "undecided" else None
+        if first is None or self.own < len(model.effects):
             return None
 
         def hold(new: Sequence[FittedEffect]) -> bool:
@@ -415,7 +418,7 @@ class _Growth:
             added = self._gaining(model, _new_effects(finding, model))
             if added is not None:
                 rivals = rivals_of(found, finding)
-                notes = rival_notes(finding, rivals) if rivals else ()
+                notes = rival_notes(finding, rivals) if rivals else _nearest_note(found)
                 return replace(_passed_over(added, rivals), notes=(*notes, *added.notes))
         return None
 
@@ -466,6 +469,25 @@ class _Growth:
         """Remember the residual of a model that is kept."""
         best, shown = self._sizes(model)
         self.best, self.shown = min(self.best, best), min(self.shown, shown)
+
+
+def _proposes(found: Diagnosis) -> bool:
+    """Whether the first candidate was accepted; or is the nearest to what has no name, and removes most of it."""
+    if not found.findings or found.findings[0].accepted:
+        return bool(found.findings)
+    share = found.adequacy if found.verdict == "unknown_effect" else None
+    doubted = any(d.kind != "other_machine" for d in found.doubts)
+    return share is not None and share >= LEAST and found.findings[0].heldout_drop >= MOSTLY and not doubted
+
+
+def _nearest_note(found: Diagnosis) -> tuple[str, ...]:
+    """Note that an added effect is only the nearest to what has no name."""
+    if found.verdict != "unknown_effect" or found.adequacy is None or found.findings[0].accepted:
+        return ()
+    return (
+        "no effect of the catalogue describes what is missing; this is the nearest, and explains "
+        f"{percent(found.adequacy)} of what can be explained",
+    )
 
 
 def _new_effects(finding: Finding, model: Model) -> list[FittedEffect]:

@@ -1,0 +1,81 @@
+"""What no effect of the catalogue describes: the nearest one is added where it removes most, and it is said so.
+
+Oracle: what the readings were made of, on another day.
+"""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.diagnosis.extend.improve import improve
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import clean
+from rtec.machine import machine_from
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from tests.diagnosis.test_late_body import delayed
+from tests.support.machines import axis
+
+Floats = NDArray[np.float64]
+NOISE_UM, LENGTH_MM = 0.4, 600.0
+MACHINE = machine_from(
+    {
+        "machine": {"name": "lathe", "tool_chain": ["X", "tool"], "work_chain": ["spindle"]},
+        "axis": {"X": axis("X", travel_mm=[0.0, LENGTH_MM])},
+        "link": {"tool": {}, "spindle": {}},
+        "temperature": {"T_nut": {}, "T_air": {}},
+    },
+    "lathe",
+)
+
+
+def half_warm(x: Floats, nut: Floats, time_s: Floats) -> Floats:
+    """A screw of steel that is warm behind its nut, between 90 and 360 mm only."""
+    warm = delayed(nut, time_s, 1200.0)
+    return 11.5e-3 * np.clip(x - 90.0, 0.0, 270.0) * warm
+
+
+def worn(x: Floats, nut: Floats, time_s: Floats) -> Floats:
+    """A screw that is worn where it is used most."""
+    del nut, time_s
+    return np.asarray(-6.0 * np.exp(-(((x - 250.0) / 70.0) ** 2)), dtype=np.float64)
+
+
+def short_waves(x: Floats, nut: Floats, time_s: Floats) -> Floats:
+    """What the nearest effect hardly describes: many short waves in a part of the travel."""
+    del nut, time_s
+    return np.asarray(5.0 * np.sin(2.0 * np.pi * (x / 33.0) ** 1.2) * (x > 250.0), dtype=np.float64)
+
+
+def day(law: object, seed: int, duty: float) -> Measurement:
+    """Fourteen runs there and back in five hours; the nut is warmed three hours by `duty` times 8 °C."""
+    rng = np.random.default_rng(seed)
+    places = np.linspace(15.0, 585.0, 20)
+    x = np.tile(np.concatenate([places, places[::-1]]), 14)
+    run = np.repeat(np.arange(1, 15), 40)
+    time_s = 20.0 * np.arange(len(x)) + 500.0 * run
+    nut = 8.0 * duty * delayed(np.where(time_s < 10000.0, 1.0, 0.0), time_s, 900.0)
+    reading = law(x, nut, time_s) + NOISE_UM * rng.normal(size=len(x))  # type: ignore[operator]
+    way = np.tile(np.repeat([1.0, -1.0], 20), 14)
+    degc = {"T_nut": np.round(20.0 + nut + 0.03 * rng.normal(size=len(x)), 1), "T_air": np.full(len(x), 20.0)}
+    instrument = make_instrument("laser_linear", {}, "X", "EXX", MACHINE, "day")
+    return Measurement(
+        name=f"day-{seed}", machine=MACHINE, instrument=instrument, run=run, time_s=time_s,
+        channels={"x": x, "d_x": way, **degc}, readings={"reading_um": reading},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("law", "most"), [(half_warm, 0.35), (worn, 0.3)])
+def test_the_nearest_is_added_where_it_removes_most(law: object, most: float) -> None:
+    empty = Model(MACHINE, (), name="empty")
+    done = improve(empty, [day(law, 1, 1.0)], draws=50)
+    assert done.diagnoses[0].verdict == "unknown_effect"
+    assert "this is the nearest" in " ".join(done.steps[0].notes)
+    other = clean([day(law, 2, 0.5)], 20.0)
+    assert Judgement(done.model, other).residual < most * Judgement(empty, other).residual
+
+
+def test_what_has_no_near_effect_gets_none() -> None:
+    done = improve(Model(MACHINE, (), name="empty"), [day(short_waves, 3, 1.0)], draws=50)
+    assert (done.reason, done.steps) == ("unknown_effect", ())
