@@ -141,7 +141,7 @@ def probed(seed: int, urad_per_degc: float, tau_s: float) -> Measurement:
     rng = np.random.default_rng(seed)
     chains = {"name": "mill", "tool_chain": ["column", "Z", "spindle"], "work_chain": ["X", "table"]}
     links = {"column": {}, "spindle": {"offset_mm": [0.0, 0.0, 150.0]}, "table": {}}
-    sensors = {"T_col_front": {}, "T_col_back": {}, "T_spindle": {}, "T_air": {}}
+    sensors: dict[str, dict[str, object]] = {"T_col_front": {}, "T_col_back": {}, "T_spindle": {}, "T_air": {}}
     machine = machine_from({**TABLE, "machine": chains, "link": links, "temperature": sensors}, "mill")
     time_s = 150.0 * np.arange(210.0)
     run = 1 + (time_s // 3600.0).astype(np.int64)

@@ -42,10 +42,10 @@ def worn(x: Floats, nut: Floats, time_s: Floats) -> Floats:
     return np.asarray(-6.0 * np.exp(-(((x - 250.0) / 70.0) ** 2)), dtype=np.float64)
 
 
-def short_waves(x: Floats, nut: Floats, time_s: Floats) -> Floats:
-    """What the nearest effect hardly describes: many short waves in a part of the travel."""
-    del nut, time_s
-    return np.asarray(5.0 * np.sin(2.0 * np.pi * (x / 33.0) ** 1.2) * (x > 250.0), dtype=np.float64)
+def ridge(x: Floats, nut: Floats, time_s: Floats) -> Floats:
+    """What no effect comes near: a ridge that walks along the axis as it warms."""
+    del time_s
+    return np.asarray(6.0 * np.exp(-(((x - 100.0 - 50.0 * nut) / 60.0) ** 2)), dtype=np.float64)
 
 
 def day(law: object, seed: int, duty: float) -> Measurement:
@@ -77,5 +77,5 @@ def test_the_nearest_is_added_where_it_removes_most(law: object, most: float) ->
 
 
 def test_what_has_no_near_effect_gets_none() -> None:
-    done = improve(Model(MACHINE, (), name="empty"), [day(short_waves, 3, 1.0)], draws=50)
+    done = improve(Model(MACHINE, (), name="empty"), [day(ridge, 3, 1.0)], draws=50)
     assert (done.reason, done.steps) == ("unknown_effect", ())
