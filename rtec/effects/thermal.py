@@ -114,15 +114,14 @@ class AxisExpansion(OneSensor, AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every sensor with the fixed point at zero and at the ends and the middle of the travel; and each lagged.
+        """Every sensor, as read and lagged, with the fixed point at zero and at the ends and the middle of the travel.
 
         A sensor on the nut or in the coolant warms up before the screw does.
         """
         low, high = around.moved.travel_mm
-        for sensor, fixed in itertools.product(around.sensors, dict.fromkeys((0.0, low, 0.5 * (low + high), high))):
-            yield {"axis": around.moved.name, "sensor": sensor, "fixed_mm": fixed}
-        for sensor in around.sensors:
-            yield {"axis": around.moved.name, "sensor": sensor, "lag": True}
+        feet = dict.fromkeys((0.0, low, 0.5 * (low + high), high))
+        for lag, sensor, fixed in itertools.product((False, True), around.sensors, feet):
+            yield {"axis": around.moved.name, "sensor": sensor, "fixed_mm": fixed, "lag": lag}
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`(q - q_fix)` in m times `ΔT`."""

@@ -56,7 +56,7 @@ def line(
 
     Args:
         seed: of the noise.
-        tau_s: delay of the mounting behind T_bed.
+        tau_s: delay of the mounting and of the screw behind T_bed.
         um_per_degc: growth of the mounting.
         growth: of the screw, µm/(m·K), about `fixed_mm`.
         fixed_mm: its fixed end.
@@ -68,7 +68,7 @@ def line(
     hours = time_s / 3600.0
     rise = np.where(hours < 5.0, 3.0 * (1.0 - np.exp(-hours / 1.5)), 2.9 * np.exp(-np.maximum(hours - 5.0, 0.0) / 1.2))
     body = delayed(rise, time_s, tau_s) if tau_s else rise
-    error = um_per_degc * body + growth * 1e-3 * (x - fixed_mm) * rise + 8e-3 * x
+    error = um_per_degc * body + growth * 1e-3 * (x - fixed_mm) * body + 8e-3 * x
     reading = error + NOISE_UM * rng.standard_normal(len(x))
     channels = {
         "x": x, "d_x": np.tile(np.repeat([1.0, -1.0], TARGETS), RUNS), "T_bed": 20.0 + rise,
@@ -91,6 +91,23 @@ def test_a_mounting_that_warms_after_its_sensor_is_named_with_its_delay(tau_s: f
     )  # fmt: skip
     assert first.parameters["tau"].value == pytest.approx(tau_s, rel=0.1)
     assert first.parameters["k"].value == pytest.approx(3.0, rel=0.05)
+
+
+@pytest.mark.parametrize("fixed_mm", [-600.0, -300.0, 0.0])
+def test_a_late_screw_is_named_with_its_fixed_end(fixed_mm: float) -> None:
+    """With its end elsewhere than at zero it had been called a screw that follows another sensor at once."""
+    m = line(3, 2000.0, growth=9.0, fixed_mm=fixed_mm)
+    d = diagnose(fitted_model([m], wanted=read_wanted("scale:EXX", m.machine)), [m], draws=50)
+    first = d.findings[0]
+    given = ("sensor", "lag", "fixed_mm")
+    assert (first.effect.effect, *(getattr(first.effect, n) for n in given)) == (
+        "axis_expansion",
+        "T_bed",
+        True,
+        fixed_mm,
+    )
+    assert first.parameters["tau"].value == pytest.approx(2000.0, rel=0.1)
+    assert first.parameters["k"].value == pytest.approx(9.0, rel=0.05)
 
 
 def test_a_table_is_no_spindle() -> None:
