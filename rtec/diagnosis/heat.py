@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts import ALONE, Doubt
 from rtec.effects import Effect
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
@@ -110,23 +110,27 @@ def _warming(readings: Readings, s: Series, warm: float, off: float) -> Floats:
     return out
 
 
-def only_between_files(readings: Readings, effect: Effect) -> Doubt:
+def only_between_files(readings: Readings, label: str, channels: Collection[str]) -> Doubt:
     """Doubt where an effect explains only differences between files; fatal unless a temperature differs much there.
 
     Two days, one cold and one warm, are a way to measure an expansion. Where both were nearly as warm, a change of the
     machine between them is as likely.
+
+    Args:
+        readings: the readings.
+        label: of the effect.
+        channels: that it reads.
     """
-    machine = readings.machine
-    read = [n for n in machine.sensor_names if n in effect.channels(machine)]
+    read = [n for n in readings.machine.sensor_names if n in channels]
     states = [s for s in readings.states if all(n in s.channels for n in read)]
     middles = {n: [float(np.nanmedian(s.channels[n])) for s in states] for n in read}
     apart = max((max(v) - min(v) for v in middles.values() if v), default=0.0)
     names = " and ".join(m.name for m in readings.measurements[:3])
     message = (
-        f"{effect.label} explains only what differs between {names}: within each of them the readings do not "
+        f"{label} explains only what differs between {names}: within each of them the readings do not "
         f"follow {' and '.join(read) or 'it'}. The machine or the set-up may have changed between them."
     )
-    step = "Measure while that changes, or once more as it was at first."
+    step = f"Measure while that changes, or once more as it was at first. {ALONE}"
     return Doubt("between_files", message, step, fatal=apart < MUCH_WARMER)
 
 

@@ -313,6 +313,7 @@ def sentence(text: str) -> str:
     """A text as a sentence: a capital first, unless it begins with a name from a file, and a full stop."""
     first, second, *_ = [*text.split(maxsplit=2), "", ""]
     name = first.endswith(":") or any(mark in first for mark in "_(") or (second.endswith(":") and "_" in second)
+    name |= any(map(str.isdigit, first))
     return (text if name else text[:1].upper() + text[1:]) + ("" if text.endswith((".", "?", "!")) else ".")
 
 
