@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.estimation.noise import minutes
 from rtec.model import FittedEffect
 from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, with_error
 
@@ -86,6 +87,7 @@ def named(channel: str) -> str:
 LITTLE = 2.0
 """The readings show little where half of the tested effects are detected only above this many times the residual."""
 TOGETHER = "to be added together with rank 1"
+AMONG = "named together with rank 1"
 BESIDE = "explains another part than rank 1; may be missing too"
 MOST_NUMBERS = 4
 
@@ -122,8 +124,9 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     if d.verdict == "missing_effect":
         f = d.findings[0]
         if f.partner is not None:
+            one, other = labels([f, f.partner])
             return (
-                f"{f.label} and {f.partner.label} are missing together, neither lowers the error on held-out runs "
+                f"{one} and {other} are missing together, neither lowers the error on held-out runs "
                 f"alone: adding both removes {percent(f.heldout_drop)} of the held-out mean square error"
             )
         return (
@@ -184,10 +187,10 @@ def _together(d: Diagnosis) -> str:
     # One that is larger without the next has no share of its own; of many the table has the shares.
     apart, few = min(falls) >= 0.0 and len(falls) <= FEW, len(falls) <= FEW
     parts = []
-    for m, fall in zip(d.together, falls, strict=True):
+    for m, name, fall in zip(d.together, labels([m.fitted for m in d.together]), falls, strict=True):
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
         either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals and few else []
-        parts.append(" ".join([m.label, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
+        parts.append(" ".join([name, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
     if not apart and len(parts) > 1:
         parts[-1] += (
             f", which together remove {percent(d.together[-1].heldout_drop)} of the held-out mean square error,"
@@ -288,8 +291,18 @@ def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
     )
 
 
-def why_not(mine: float, best: float, gain: float, same: bool) -> str:
-    """Why a candidate is not preferred."""
+def why_not(mine: float, best: float, gain: float, same: bool, whole: float | None = None) -> str:
+    """Why a candidate is not preferred.
+
+    Args:
+        mine, best: log evidence of the candidate and of rank 1, each by itself.
+        gain: on held-out runs.
+        same: whether these readings cannot distinguish the two.
+        whole: log evidence of rank 1 with the effects that are named together with it; None where it is named alone.
+    """
+    if gain > 0.0 and mine - best > math.log(20.0):
+        more = "" if whole is None or whole < mine else "; rank 1 and what is named with it are likelier together"
+        return f"likelier than rank 1 by itself{more}"
     if same and best - mine > math.log(20.0):
         return "less likely than rank 1, but it predicts held-out runs as well or better"
     if same:
@@ -353,7 +366,14 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
     parts = [_argument(k, mine.get(k)) for k in keys]
     if not parts:
         ends = [n for n in f.theta if any(g.theta.get(n) != f.theta[n] for g in same)]
-        parts = [f"{n} {significant(f.theta[n])}" for n in ends]
+        parts = [
+            f"{n} {significant(f.theta[n])}"
+            if n != "tau"
+            else f"{minutes(f.theta[n])} late"
+            if f.theta[n]
+            else "at once"
+            for n in ends
+        ]
     return f"{f.label}, {', '.join(parts)}" if parts else f"{f.label} #{1 + same.index(f)}"
 
 

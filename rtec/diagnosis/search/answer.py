@@ -195,7 +195,10 @@ class _Answer:
             return words.TOGETHER
         if beside:
             return words.BESIDE
-        return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same)
+        if any(t.number == c.number for c in self.s.chain[1:]):
+            return words.AMONG
+        whole = self.s.chain[-1].log_evidence if self.s.chain else None
+        return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same, whole)
 
     def _same(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether these readings cannot distinguish another candidate from the winner."""
