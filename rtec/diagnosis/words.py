@@ -87,6 +87,7 @@ def named(channel: str) -> str:
 LITTLE = 2.0
 """The readings show little where half of the tested effects are detected only above this many times the residual."""
 TOGETHER = "to be added together with rank 1"
+NONE_SETTLES = "none of the usual tests on this machine settles it alone"
 AMONG = "named together with rank 1"
 BESIDE = "explains another part than rank 1; may be missing too"
 MOST_NUMBERS = 4
@@ -240,6 +241,7 @@ def _one_of(d: Diagnosis) -> str:
         return f"{first.label} is missing{forms}{more}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
     way = f". To separate them: {test}" if test else ""
+    way = f". {sentence(test)}" if test.startswith(NONE_SETTLES) else way
     return (
         f"one of {', '.join(names[:4])} is missing, or more than one; these data cannot distinguish them "
         f"(confounded){more}{way}"
