@@ -156,7 +156,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             share = percent(max(d.adequacy, 0.0))
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
         text = f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
-        return text + _by_heat(d)
+        return text + _within(d) + _by_heat(d)
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
     if d.out_of_date:
@@ -201,13 +201,26 @@ def _together(d: Diagnosis) -> str:
     if d.unknown is None:
         return f"{named_so} {are} missing"
     where = " and ".join(map(named, d.unknown.channels))
-    return f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}{_by_heat(d)}"
+    text = f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}"
+    return text + _within(d) + _by_heat(d)
 
 
 def _beside_instrument(d: Diagnosis) -> str:
     """The sentences on an instrument that may be warming up, after what is named beside it."""
     named_beside = [b.words.rstrip(".") for b in d.doubts if b.kind == "instrument_warm_up" and not b.fatal]
     return "".join(f". {text}" for text in named_beside) if accepted(d.findings) else ""
+
+
+def _within(d: Diagnosis) -> str:
+    """The sentence on the range of the temperatures, loads and speeds of a proposed expression; empty for none."""
+    ranges = d.unknown.within if d.unknown is not None else ()
+    parts = [
+        f"{named(n)} {significant(low)} to {significant(high)} {unit_of_channel(n) if n in NAMED else '°C'}"
+        for n, low, high in ranges
+    ]
+    return (
+        f". The proposed expression holds only in the range of these readings: {' and '.join(parts)}" if parts else ""
+    )
 
 
 def _by_heat(d: Diagnosis) -> str:

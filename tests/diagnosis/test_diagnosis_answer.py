@@ -210,3 +210,31 @@ def test_one_effect_with_two_delays_is_told_apart_by_them() -> None:
 def test_what_is_far_likelier_is_not_called_as_likely(ahead: float, whole: float | None, says: str, same: bool) -> None:
     """Oracle: the odds, e¹¹ to one and e² to one."""
     assert words.why_not(ahead, 0.0, 1.0, same=same, whole=whole).startswith(says)
+
+
+def test_an_expression_over_a_temperature_says_where_it_holds() -> None:
+    """A wave above a threshold of a temperature. Oracle: the range of the readings."""
+    m = laser([], 8)
+    bed = m.channels["T_bed"]
+    warm = 12.0 * np.maximum((bed - np.quantile(bed, 0.6)) / np.ptp(bed), 0.0) ** 2
+    bent = replace(m, readings={k: v + warm * np.cos(m.channels["x"] / 30.0) for k, v in m.readings.items()})
+    d = diagnose(model(), [bent], draws=50, explain=True)
+    assert d.unknown is not None
+    assert "T_bed" in d.unknown.expression
+    ((name, low, high),) = d.unknown.within
+    assert name == "T_bed"
+    assert (low, high) == pytest.approx((bed.min(), bed.max()), abs=0.1)
+    assert f"holds only in the range of these readings: T_bed {low:.1f} to {high:.1f} °C" in d.sentence
+    assert d.facts()["unknown"]["within"] == [{"channel": "T_bed", "low": low, "high": high}]
+
+
+def test_an_expression_over_a_place_has_no_such_range() -> None:
+    """A sawtooth along the axis. Oracle: what was put in."""
+    m = laser([], 8, targets={"step_mm": 3.1})
+    teeth = {k: v + 4.0 * np.mod(m.channels["x"] / 61.0, 1.0) for k, v in m.readings.items()}
+    d = diagnose(model(), [replace(m, readings=teeth)], draws=50, explain=True)
+    assert d.unknown is not None
+    assert d.unknown.channels == ("x",)
+    assert d.unknown.expression
+    assert d.unknown.within == ()
+    assert "range of these readings" not in d.sentence

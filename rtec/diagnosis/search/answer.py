@@ -489,7 +489,17 @@ class _Answer:
         t = self._typed
         if self._heat_by_time() is not None:
             return replace(unknown, where=t.where)  # the time of this record is no channel of another day
-        return replace(unknown, where=t.where, expression=t.expression, parameters=t.parameters, feeds=t.component)
+        return replace(
+            unknown, where=t.where, expression=t.expression, parameters=t.parameters, feeds=t.component,
+            within=self._within(t.effect),
+        )  # fmt: skip
+
+    def _within(self, effect: Effect) -> tuple[tuple[str, float, float], ...]:
+        """Range of these readings, of each temperature, load and speed that an effect reads."""
+        machine = self.s.model.machine
+        given = {"spindle_rpm", "load_kg", "force_n", *machine.sensor_names}
+        values = {n: self.readings.channel(n) for n in effect.channels(machine) if n in given}
+        return tuple((n, float(np.nanmin(v)), float(np.nanmax(v))) for n, v in values.items())
 
     def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:
         """Figure of the named effect or of the shape without a name."""
