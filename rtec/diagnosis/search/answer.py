@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.heat import heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
+from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
+from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
 from rtec.diagnosis.search import picture
 from rtec.diagnosis.search.confounded import (
     APART,
@@ -306,7 +306,7 @@ class _Answer:
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Doubts about the record, and about the machine file where the finding raises them."""
         if not (findings and findings[0].accepted):
-            slow = unrecorded_heat(self.readings, self.s.refits.current) or self._heat_by_time()
+            slow = unrecorded_heat(self.readings, self.s.refits.current) or self._heat_by_time() or self._drift()
             return (*self.s.doubts, *([slow] if slow is not None else []))
         first, out = self.s.refitted[0], list(self.s.doubts)
         asked = self._pitch(first)
@@ -326,6 +326,14 @@ class _Answer:
             slow = self._slow_beside(first, findings[0].size_um)
         slow = slow or self._heat_by_time()
         return (*out, *(d for d in (substitute, slow) if d is not None))
+
+    def _drift(self) -> Doubt | None:
+        """Doubt where nothing is named, and a drift by many times the noise stays unexplained."""
+        nothing = self.s.unknown is None and self.s.undecided is None and not any(d.fatal for d in self.s.doubts)
+        judged = self.s.judged
+        if not nothing or judged.refitted < REFIT * judged.residual:
+            return None
+        return drift_by_far(judged, self.s.refits.current)
 
     def _heat_by_time(self) -> Doubt | None:
         """Doubt that what has no name is heat: it depends on time, and no temperature changed."""
