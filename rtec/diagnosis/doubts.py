@@ -95,6 +95,7 @@ DISAGREES, INSIDE = 3.0, 0.2
 """A model disagrees with a file where its residual is this many times that of its fit, on readings in the range of the
 fit: at least this share of the file."""
 FEW_RUNS = 4
+ALONE = "If the machine changed between them, diagnose the newer file alone."
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and so is the prediction
     if not found and (odd := contradiction(judged)) is not None:
-        step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}."
+        step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}.{'' if odd.turned else f' {ALONE}'}"
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
     found += _corrected(judged, measured, predicted)
     if not found and edited is not None:

@@ -7,11 +7,12 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts import ALONE, Doubt
 from rtec.effects import Effect
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
 from rtec.estimation.gls import Fit, without_runs
+from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
 from rtec.wording import ERROR_UNITS, number
@@ -26,6 +27,8 @@ SLOW_S, RECORD_S = 600.0, 3600.0
 """A drift with at least this memory, in a record of at least this length, may be heat."""
 LARGE = 1.0
 """Where it is at least this many times the white noise."""
+BY_FAR = 3.0
+"""A drift that no channel explains, in multiples of the noise, from which on nothing says that no effect is missing."""
 BODIES = {
     "axis_expansion": (("screw", "nut", "scale"), "on the screw, nut or scale of {axis}"),
     "axis_expansion_nonuniform": (("screw", "nut", "scale"), "on the screw, nut or scale of {axis}"),
@@ -110,23 +113,27 @@ def _warming(readings: Readings, s: Series, warm: float, off: float) -> Floats:
     return out
 
 
-def only_between_files(readings: Readings, effect: Effect) -> Doubt:
+def only_between_files(readings: Readings, label: str, channels: Collection[str]) -> Doubt:
     """Doubt where an effect explains only differences between files; fatal unless a temperature differs much there.
 
     Two days, one cold and one warm, are a way to measure an expansion. Where both were nearly as warm, a change of the
     machine between them is as likely.
+
+    Args:
+        readings: the readings.
+        label: of the effect.
+        channels: that it reads.
     """
-    machine = readings.machine
-    read = [n for n in machine.sensor_names if n in effect.channels(machine)]
+    read = [n for n in readings.machine.sensor_names if n in channels]
     states = [s for s in readings.states if all(n in s.channels for n in read)]
     middles = {n: [float(np.nanmedian(s.channels[n])) for s in states] for n in read}
     apart = max((max(v) - min(v) for v in middles.values() if v), default=0.0)
     names = " and ".join(m.name for m in readings.measurements[:3])
     message = (
-        f"{effect.label} explains only what differs between {names}: within each of them the readings do not "
+        f"{label} explains only what differs between {names}: within each of them the readings do not "
         f"follow {' and '.join(read) or 'it'}. The machine or the set-up may have changed between them."
     )
-    step = "Measure while that changes, or once more as it was at first."
+    step = f"Measure while that changes, or once more as it was at first. {ALONE}"
     return Doubt("between_files", message, step, fatal=apart < MUCH_WARMER)
 
 
@@ -199,10 +206,29 @@ def unrecorded_heat(
         slow, memory, s = max((_slow(fit, noise, i) for i in looked), key=lambda f: f[0])
         if slow <= named_um:
             return None
+    return _grows_and_falls(readings, s, slow, memory)
+
+
+def drift_by_far(judged: Judgement, fit: Fit) -> Doubt | None:
+    """Doubt that nothing is missing where a series drifts by many times its noise; None where none does.
+
+    An instrument seldom does, a body without a sensor does, though others were recorded.
+
+    Args:
+        judged: the model, whose numbers are not out of date.
+        fit: of the model.
+    """
+    readings = judged.readings
+    found = [(f.drift, *_slow(fit, fit.whitener, i)) for i, f in enumerate(judged.floors) if f.drift > BY_FAR * f.value]
+    drift, slow, memory, s = max(found, key=lambda d: d[:2], default=(0.0, 0.0, 0.0, readings.series[0]))
+    return _grows_and_falls(readings, s, drift, memory) if slow > 0.0 else None
+
+
+def _grows_and_falls(readings: Readings, s: Series, slow: float, memory_s: float) -> Doubt:
     m = readings.measurements[s.source]
     message = (
         f"{m.name} {s.column} grows and falls by {number(slow)} {ERROR_UNITS.get(s.unit, s.unit)} with a memory of "
-        f"{minutes(memory)}: slow, and unexplained by anything recorded."
+        f"{minutes(memory_s)}: slow, and unexplained by anything recorded."
     )
     return Doubt("no_temperature", message, _to_record(readings, s), fatal=True)
 

@@ -149,6 +149,8 @@ class Unknown:
         with_time: the channel rises with time in this record, so that a drift would look the same.
         step_mm: of equal steps between the targets; None where they are not equal, or it is no wave along an axis.
         aliases_mm: other periods that targets at these steps cannot distinguish from it.
+        within: of each temperature, load and speed in the expression, its name and the range of these readings: it is
+            no law beyond.
         expression, parameters, feeds: the nearest simple expression for `rtec add`, as `--expr`, `--param` and
             `--component` take them; empty where there is none.
     """
@@ -166,6 +168,7 @@ class Unknown:
     with_time: bool = False
     step_mm: float | None = None
     aliases_mm: tuple[float, ...] = ()
+    within: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -376,4 +379,5 @@ def _unknown(u: Unknown | None) -> dict[str, Any] | None:
         "with_time": u.with_time,
         "step_mm": u.step_mm,
         "aliases_mm": list(u.aliases_mm),
+        "within": [{"channel": name, "low": low, "high": high} for name, low, high in u.within],
     }

@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.estimation.noise import minutes
 from rtec.model import FittedEffect
 from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, with_error
 
@@ -86,6 +87,8 @@ def named(channel: str) -> str:
 LITTLE = 2.0
 """The readings show little where half of the tested effects are detected only above this many times the residual."""
 TOGETHER = "to be added together with rank 1"
+NONE_SETTLES = "none of the usual tests on this machine settles it alone"
+AMONG = "named together with rank 1"
 BESIDE = "explains another part than rank 1; may be missing too"
 MOST_NUMBERS = 4
 
@@ -122,8 +125,9 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     if d.verdict == "missing_effect":
         f = d.findings[0]
         if f.partner is not None:
+            one, other = labels([f, f.partner])
             return (
-                f"{f.label} and {f.partner.label} are missing together, neither lowers the error on held-out runs "
+                f"{one} and {other} are missing together, neither lowers the error on held-out runs "
                 f"alone: adding both removes {percent(f.heldout_drop)} of the held-out mean square error"
             )
         return (
@@ -152,7 +156,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             share = percent(max(d.adequacy, 0.0))
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
         text = f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
-        return text + _by_heat(d)
+        return text + _within(d) + _by_heat(d)
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
     if d.out_of_date:
@@ -184,10 +188,10 @@ def _together(d: Diagnosis) -> str:
     # One that is larger without the next has no share of its own; of many the table has the shares.
     apart, few = min(falls) >= 0.0 and len(falls) <= FEW, len(falls) <= FEW
     parts = []
-    for m, fall in zip(d.together, falls, strict=True):
+    for m, name, fall in zip(d.together, labels([m.fitted for m in d.together]), falls, strict=True):
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
         either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals and few else []
-        parts.append(" ".join([m.label, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
+        parts.append(" ".join([name, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
     if not apart and len(parts) > 1:
         parts[-1] += (
             f", which together remove {percent(d.together[-1].heldout_drop)} of the held-out mean square error,"
@@ -197,13 +201,26 @@ def _together(d: Diagnosis) -> str:
     if d.unknown is None:
         return f"{named_so} {are} missing"
     where = " and ".join(map(named, d.unknown.channels))
-    return f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}{_by_heat(d)}"
+    text = f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}"
+    return text + _within(d) + _by_heat(d)
 
 
 def _beside_instrument(d: Diagnosis) -> str:
     """The sentences on an instrument that may be warming up, after what is named beside it."""
     named_beside = [b.words.rstrip(".") for b in d.doubts if b.kind == "instrument_warm_up" and not b.fatal]
     return "".join(f". {text}" for text in named_beside) if accepted(d.findings) else ""
+
+
+def _within(d: Diagnosis) -> str:
+    """The sentence on the range of the temperatures, loads and speeds of a proposed expression; empty for none."""
+    ranges = d.unknown.within if d.unknown is not None else ()
+    parts = [
+        f"{named(n)} {significant(low)} to {significant(high)} {unit_of_channel(n) if n in NAMED else '°C'}"
+        for n, low, high in ranges
+    ]
+    return (
+        f". The proposed expression holds only in the range of these readings: {' and '.join(parts)}" if parts else ""
+    )
 
 
 def _by_heat(d: Diagnosis) -> str:
@@ -237,6 +254,7 @@ def _one_of(d: Diagnosis) -> str:
         return f"{first.label} is missing{forms}{more}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
     way = f". To separate them: {test}" if test else ""
+    way = f". {sentence(test)}" if test.startswith(NONE_SETTLES) else way
     return (
         f"one of {', '.join(names[:4])} is missing, or more than one; these data cannot distinguish them "
         f"(confounded){more}{way}"
@@ -288,8 +306,18 @@ def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
     )
 
 
-def why_not(mine: float, best: float, gain: float, same: bool) -> str:
-    """Why a candidate is not preferred."""
+def why_not(mine: float, best: float, gain: float, same: bool, whole: float | None = None) -> str:
+    """Why a candidate is not preferred.
+
+    Args:
+        mine, best: log evidence of the candidate and of rank 1, each by itself.
+        gain: on held-out runs.
+        same: whether these readings cannot distinguish the two.
+        whole: log evidence of rank 1 with the effects that are named together with it; None where it is named alone.
+    """
+    if gain > 0.0 and mine - best > math.log(20.0):
+        more = "" if whole is None or whole < mine else "; rank 1 and what is named with it are likelier together"
+        return f"likelier than rank 1 by itself{more}"
     if same and best - mine > math.log(20.0):
         return "less likely than rank 1, but it predicts held-out runs as well or better"
     if same:
@@ -313,6 +341,7 @@ def sentence(text: str) -> str:
     """A text as a sentence: a capital first, unless it begins with a name from a file, and a full stop."""
     first, second, *_ = [*text.split(maxsplit=2), "", ""]
     name = first.endswith(":") or any(mark in first for mark in "_(") or (second.endswith(":") and "_" in second)
+    name |= any(map(str.isdigit, first))
     return (text if name else text[:1].upper() + text[1:]) + ("" if text.endswith((".", "?", "!")) else ".")
 
 
@@ -352,7 +381,14 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
     parts = [_argument(k, mine.get(k)) for k in keys]
     if not parts:
         ends = [n for n in f.theta if any(g.theta.get(n) != f.theta[n] for g in same)]
-        parts = [f"{n} {significant(f.theta[n])}" for n in ends]
+        parts = [
+            f"{n} {significant(f.theta[n])}"
+            if n != "tau"
+            else f"{minutes(f.theta[n])} late"
+            if f.theta[n]
+            else "at once"
+            for n in ends
+        ]
     return f"{f.label}, {', '.join(parts)}" if parts else f"{f.label} #{1 + same.index(f)}"
 
 

@@ -52,12 +52,14 @@ class Contradiction:
         message: in words, without a full stop.
         check: what the user should check.
         again: what to do afterwards.
+        turned: whether one is the mirror image of another; if not, the machine may have changed between them.
     """
 
     odd: tuple[int, ...]
     message: str
     check: str
     again: str
+    turned: bool
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ def contradiction(judged: Judgement) -> Contradiction | None:
             apart,
             pairs,
             met,
-            f"readings differ by {significant(worst, 2)} {unit}, and no recorded channel does",
+            f"readings differ by {significant(worst, 2)} {unit}, although every other recorded channel took much "
+            "the same values in both",
         )
     return None
 
@@ -212,15 +215,17 @@ def _described(
         return ", ".join(readings.measurements[i].name for i in sorted(set(sources)))
 
     odd, how = _odd(pairs, compared, met), f"at the same places {{}}{how}"
+    turned = any(p.turned for p in pairs)
     if not odd:
         message = f"{names(i for p in pairs for i in p.sources)} contradict each other: {how.format('')}"
         check = "look at their signs, their set-ups and whether they are of one machine"
-        return Contradiction(odd, message, check, "without the wrong one, try again")
+        return Contradiction(odd, message, check, "without the wrong one, try again", turned)
     verb, its, it, they = ("contradicts", "its", "it", "it is") if len(odd) == 1 else _MANY
     others = names(i for p in pairs for i in p.sources if i not in odd)
     message = f"{names(odd)} {verb} {others}: {how.format(its + ' ')}"
     check = f"look at {its} sign, {its} set-up and whether {they} of the same machine"
-    return Contradiction(odd, message, check, f"without {it} or with {it} turned, try again")
+    or_turned = f" or with {it} turned" if turned else ""
+    return Contradiction(odd, message, check, f"without {it}{or_turned}, try again", turned)
 
 
 _MANY = ("contradict", "their", "them", "they are")

@@ -247,7 +247,11 @@ def _weight(d: Diagnosis) -> list[tuple[str, str]]:
 
 def _together(d: Diagnosis) -> Table:
     """Table of the effects that are missing together."""
-    rows = [[m.label, percent(max(m.heldout_drop, 0.0)), " or ".join(m.rivals[:2]) or "no other"] for m in d.together]
+    names = labels([m.fitted for m in d.together])
+    rows = [
+        [name, percent(max(m.heldout_drop, 0.0)), " or ".join(m.rivals[:2]) or "no other"]
+        for m, name in zip(d.together, names, strict=True)
+    ]
     caption = "Falls by: share of the held-out mean square error, with the effects above it. One by one: --full."
     return Table(("missing together", "falls by", "or in its place"), rows, caption, words=(0, 2))
 
@@ -389,8 +393,8 @@ def _candidates(d: Diagnosis) -> Table:
     ]
     head = ("", "effect", "numbers", f"explains, {unit}", "held-out error falls by", "probability", "")
     caption = (
-        "Held-out error: mean square on held-out runs. Probability: among these candidates and 'nothing is missing'; "
-        "an effect that none of them describes is not in it."
+        "Held-out error: mean square on held-out runs. Probability: among these candidates, each by itself, and "
+        "'nothing is missing'; an effect that none of them describes is not in it."
     )
     return Table(head, rows, caption, words=(1, 2, 6))
 

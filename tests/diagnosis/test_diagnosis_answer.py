@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rtec.diagnosis import words
+from rtec.diagnosis.result import Member
 from rtec.diagnosis.search.answer import determined
 from rtec.diagnosis.search.confounded import aliases_mm, fold, step_mm
 from rtec.diagnosis.search.diagnose import diagnose
@@ -177,3 +178,63 @@ def test_an_error_beyond_all_that_is_looked_for_tells_nothing(
 ) -> None:
     """Oracle: the range of the search, and a hundred times the usual size."""
     assert determined(parameter, value, se) is known
+
+
+def test_one_effect_with_two_delays_is_told_apart_by_them() -> None:
+    """Oracle: the delays that are given; 4500 s are 75 min."""
+    late = [
+        replace(f, theta={"tau": tau})
+        for tau in (27000.0, 4500.0)
+        for f in effects("mount_expansion,component=EXX,sensor=T_air,lag=true,k=1,tau=1800")
+    ]
+    d = diagnose(model(), [laser([BACKLASH], 4)])
+    d = replace(d, together=(Member(late[0], 0.65), Member(late[1], 0.93)), verdict="missing_effect")
+    name = "mount_expansion(EXX, T_air)"
+    said = words.with_sentence(d, 0.1).sentence
+    assert said.startswith(f"{name}, 7.5 h late (65 % of the held-out mean square error) and {name}, 75 min late (28 %")
+    first, other = (replace(d.findings[0], effect=f.effect, theta=f.theta) for f in late)
+    pair = replace(d, together=(), findings=(replace(first, partner=other), other))
+    assert words.with_sentence(pair, 0.1).sentence.startswith(f"{name}, 7.5 h late and {name}, 75 min late are missing")
+
+
+@pytest.mark.parametrize(
+    ("ahead", "whole", "says"),
+    [
+        (11.0, 30.0, "likelier than rank 1 by itself; rank 1 and what is named with it are likelier together"),
+        (11.0, 5.0, "likelier than rank 1 by itself"),
+        (11.0, None, "likelier than rank 1 by itself"),
+        (2.0, 30.0, "as likely as rank 1"),
+    ],
+)
+@pytest.mark.parametrize("same", [True, False])
+def test_what_is_far_likelier_is_not_called_as_likely(ahead: float, whole: float | None, says: str, same: bool) -> None:
+    """Oracle: the odds, e¹¹ to one and e² to one."""
+    assert words.why_not(ahead, 0.0, 1.0, same=same, whole=whole).startswith(says)
+
+
+def test_an_expression_over_a_temperature_says_where_it_holds() -> None:
+    """A wave above a threshold of a temperature. Oracle: the range of the readings."""
+    m = laser([], 8)
+    bed = m.channels["T_bed"]
+    warm = 12.0 * np.maximum((bed - np.quantile(bed, 0.6)) / np.ptp(bed), 0.0) ** 2
+    bent = replace(m, readings={k: v + warm * np.cos(m.channels["x"] / 30.0) for k, v in m.readings.items()})
+    d = diagnose(model(), [bent], draws=50, explain=True)
+    assert d.unknown is not None
+    assert "T_bed" in d.unknown.expression
+    ((name, low, high),) = d.unknown.within
+    assert name == "T_bed"
+    assert (low, high) == pytest.approx((bed.min(), bed.max()), abs=0.1)
+    assert f"holds only in the range of these readings: T_bed {low:.1f} to {high:.1f} °C" in d.sentence
+    assert d.facts()["unknown"]["within"] == [{"channel": "T_bed", "low": low, "high": high}]
+
+
+def test_an_expression_over_a_place_has_no_such_range() -> None:
+    """A sawtooth along the axis. Oracle: what was put in."""
+    m = laser([], 8, targets={"step_mm": 3.1})
+    teeth = {k: v + 4.0 * np.mod(m.channels["x"] / 61.0, 1.0) for k, v in m.readings.items()}
+    d = diagnose(model(), [replace(m, readings=teeth)], draws=50, explain=True)
+    assert d.unknown is not None
+    assert d.unknown.channels == ("x",)
+    assert d.unknown.expression
+    assert d.unknown.within == ()
+    assert "range of these readings" not in d.sentence

@@ -253,3 +253,38 @@ def test_what_grows_in_other_readings_puts_no_effect_in_doubt() -> None:
     assert d.verdict == "missing_effect"
     assert d.findings[0].label == "squareness(EC0Y)"
     assert [(x.kind, x.fatal) for x in d.doubts] == [("no_temperature", False)]
+
+
+def probe(seed: int, wander_um: float) -> Measurement:
+    """Ten hours of a probe at the spindle, noise 0.25 µm; an Ornstein-Uhlenbeck process moves it, memory two hours.
+
+    Two bodies have a sensor, and it follows neither.
+    """
+    rng, machine, n = np.random.default_rng(seed), small_machine(), 300
+    time_s = np.linspace(60.0, 36_000.0, n)
+    keeps = float(np.exp(-(time_s[1] - time_s[0]) / 7200.0))
+    wander = [float(rng.standard_normal())]
+    for _ in range(n - 1):
+        wander.append(keeps * wander[-1] + np.sqrt(1.0 - keeps**2) * float(rng.standard_normal()))
+    reading = wander_um * np.array(wander) + 0.25 * rng.standard_normal(n)
+    bed, air = 20.0 + 2.0 * (1.0 - np.exp(-time_s / 6000.0)), 21.0 + 0.5 * np.sin(time_s / 3000.0)
+    channels = {"x": np.full(n, 100.0), "z": np.full(n, 100.0), "T_bed": bed, "T_air": air}
+    made = make_instrument("spindle_drift", {"probe": {"x": {"direction": "X"}}}, None, None, machine, "probe")
+    return Measurement("probe", made, machine, np.ones(n, dtype=np.int64), time_s, channels, {"reading_x_um": reading})
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6, 8])
+def test_a_body_without_a_sensor_is_not_called_nothing(seed: int) -> None:
+    """It moves by many times the noise. Oracle: what was put in."""
+    d = diagnose(Model(small_machine(), ()), [probe(seed, 2.5)], draws=50)
+    assert d.verdict == "undecided"
+    assert [(x.kind, x.fatal) for x in d.doubts] == [("no_temperature", True)]
+    assert d.sentence.startswith("probe reading_x_um grows and falls by ")
+    assert d.sentence.endswith("In addition to T_bed, T_air, record temperatures of spindle, column.")
+
+
+@pytest.mark.parametrize("seed", [2, 4, 6, 8])
+def test_an_instrument_that_drifts_by_no_more_than_twice_its_noise_is_no_alarm(seed: int) -> None:
+    d = diagnose(Model(small_machine(), ()), [probe(seed, 0.4)], draws=50)
+    assert d.verdict == "nothing_missing"
+    assert not d.doubts

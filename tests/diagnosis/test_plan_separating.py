@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rtec.diagnosis.plan.plan import Extra
 from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, with_gains
 from rtec.diagnosis.result import Alike
 from rtec.diagnosis.search.refit import prepare
+from rtec.diagnosis.words import NONE_SETTLES
 from rtec.estimation.outliers import clean
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
@@ -193,7 +195,10 @@ def test_a_confusion_gets_its_test_and_its_odds() -> None:
     assert told.separating_test.startswith("two heights; here: beside (60 min), expected odds")
     (blind,) = with_gains([(alike, other)], mine, nothing(), prepared.whitener, extras[1:])
     assert blind.gain == pytest.approx(0.0, abs=0.05)
-    assert "none of the usual tests" in blind.separating_test
+    assert blind.separating_test == f"two heights; {NONE_SETTLES}"
+    days = [replace(extras[0], hours=30.0), extras[1]]
+    (long,) = with_gains([(replace(alike, separating_test=""), other)], mine, nothing(), prepared.whitener, days)
+    assert long.separating_test == f"{NONE_SETTLES} within a day"
     assert with_gains([], mine, nothing(), prepared.whitener) == ()
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.words import AMONG
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign.truth import effect_from_text
@@ -59,6 +60,23 @@ def test_each_of_several_is_named_and_nothing_that_stands_for_several(what: str)
     assert len(found.together) == len(causes), found.sentence
     for cause in causes:
         assert any(is_one(m.label, cause) for m in found.together), found.sentence
+
+
+@pytest.mark.parametrize("what", ["two clearances", "four"])
+def test_words_and_probabilities_of_candidates_agree(what: str) -> None:
+    """Each by itself: the first of several is often less likely than what stands for several. Oracle: the odds."""
+    static, dynamic, _ = CAUSES[what]
+    found = diagnose(base(), circles(static, dynamic), draws=100)
+    first, said = found.findings[0].log_evidence, set[str]()
+    for f in found.findings[1:]:
+        said.add(f.why_not.split(";")[0])
+        if f.why_not == AMONG:
+            assert f.label in {m.label for m in found.together}
+        elif "as likely as rank 1" in f.why_not:
+            assert abs(f.log_evidence - first) < np.log(20.0)
+        elif f.why_not.startswith("likelier"):
+            assert f.log_evidence - first > np.log(20.0)
+    assert "likelier than rank 1 by itself" in said
 
 
 def is_one(label: str, cause: set[str]) -> bool:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis import words
 from rtec.diagnosis.plan.ideas import extra_tests
 from rtec.diagnosis.plan.parameters import hours_in_words, label
 from rtec.diagnosis.plan.plan import USUAL_NOISE, Extra, clean, effect_columns
@@ -33,6 +34,8 @@ Floats = NDArray[np.float64]
 
 CLEAR = math.log(20.0)
 """From these expected log odds on, a test separates two effects."""
+A_DAY = 24.0
+"""A test of more hours is not proposed."""
 INDEPENDENT = 100.0
 """A test has at most the information of this many readings: those close together share the drift of instrument and
 machine, so that many readings do not resolve what is far below the noise of one."""
@@ -252,7 +255,7 @@ def with_gains(
 ) -> tuple[Alike, ...]:
     """Name for each confounded effect the quickest separating test, with its expected additional log Bayes factor.
 
-    Where no test separates it (20 to 1), the nearest one is named, and that it does not suffice.
+    Where none separates it (20 to 1) within a day, none is named.
 
     Args:
         alikes: confounded effects, fitted (`separating.fitted_to`).
@@ -287,12 +290,9 @@ def _worth(test: Extra, gain: float) -> tuple[bool, float, float]:
 
 
 def _words(known: str, test: Extra, gain: float) -> str:
-    made = f"{test.name} ({hours_in_words(test.hours)})"
-    if gain >= CLEAR:
+    if gain >= CLEAR and test.hours <= A_DAY:
         odds = "more than 1000 to 1" if gain > math.log(1000.0) else f"about {math.exp(gain):.0f} to 1"
-        text = f"here: {made}, expected odds {odds}"
-    elif gain > 0.5:
-        text = f"of the usual tests none settles it alone; the best is {made}, expected odds {math.exp(gain):.1f} to 1"
+        text = f"here: {test.name} ({hours_in_words(test.hours)}), expected odds {odds}"
     else:
-        text = "none of the usual tests on this machine separates them"
+        text = words.NONE_SETTLES + (" within a day" if gain >= CLEAR else "")
     return f"{known}; {text}" if known else text

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.heat import heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
+from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
+from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
 from rtec.diagnosis.search import picture
 from rtec.diagnosis.search.confounded import (
     APART,
@@ -195,7 +195,10 @@ class _Answer:
             return words.TOGETHER
         if beside:
             return words.BESIDE
-        return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same)
+        if any(t.number == c.number for c in self.s.chain[1:]):
+            return words.AMONG
+        whole = self.s.chain[-1].log_evidence if self.s.chain else None
+        return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same, whole)
 
     def _same(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether these readings cannot distinguish another candidate from the winner."""
@@ -303,7 +306,7 @@ class _Answer:
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Doubts about the record, and about the machine file where the finding raises them."""
         if not (findings and findings[0].accepted):
-            slow = unrecorded_heat(self.readings, self.s.refits.current) or self._heat_by_time()
+            slow = unrecorded_heat(self.readings, self.s.refits.current) or self._heat_by_time() or self._drift()
             return (*self.s.doubts, *([slow] if slow is not None else []))
         first, out = self.s.refitted[0], list(self.s.doubts)
         asked = self._pitch(first)
@@ -323,6 +326,14 @@ class _Answer:
             slow = self._slow_beside(first, findings[0].size_um)
         slow = slow or self._heat_by_time()
         return (*out, *(d for d in (substitute, slow) if d is not None))
+
+    def _drift(self) -> Doubt | None:
+        """Doubt where nothing is named, and a drift by many times the noise stays unexplained."""
+        nothing = self.s.unknown is None and self.s.undecided is None and not any(d.fatal for d in self.s.doubts)
+        judged = self.s.judged
+        if not nothing or judged.refitted < REFIT * judged.residual:
+            return None
+        return drift_by_far(judged, self.s.refits.current)
 
     def _heat_by_time(self) -> Doubt | None:
         """Doubt that what has no name is heat: it depends on time, and no temperature changed."""
@@ -486,7 +497,17 @@ class _Answer:
         t = self._typed
         if self._heat_by_time() is not None:
             return replace(unknown, where=t.where)  # the time of this record is no channel of another day
-        return replace(unknown, where=t.where, expression=t.expression, parameters=t.parameters, feeds=t.component)
+        return replace(
+            unknown, where=t.where, expression=t.expression, parameters=t.parameters, feeds=t.component,
+            within=self._within(t.effect),
+        )  # fmt: skip
+
+    def _within(self, effect: Effect) -> tuple[tuple[str, float, float], ...]:
+        """Range of these readings, of each temperature, load and speed that an effect reads."""
+        machine = self.s.model.machine
+        given = {"spindle_rpm", "load_kg", "force_n", *machine.sensor_names}
+        values = {n: self.readings.channel(n) for n in effect.channels(machine) if n in given}
+        return tuple((n, float(np.nanmin(v)), float(np.nanmax(v))) for n, v in values.items())
 
     def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:
         """Figure of the named effect or of the shape without a name."""

@@ -213,12 +213,13 @@ class _Search:
             # pair.
             half = named and refitted[0].drop < LITTLE and share is not None and share < LEAST
             pair, chain, unknown = self._together(refitted, p, unknown, half or not named)
-        if best is not None and named and pair is None and not chain:
+        if best is not None and named and pair is None and not chain and not self._doubted:
             chain = self._simple_ones(best, refitted)
+        named = named and not self._doubted
         refitted = _first(pair or (), _first(chain[:1], refitted))
         if pair is not None:
             share, unknown = 1.0, None
-        if unknown is not None and not chain and self._of_instrument(unknown):
+        if unknown is not None and not chain and (self._of_instrument(unknown) or self._of_files(unknown)):
             unknown = None
         named = named or bool(chain) or pair is not None
         undecided = None if named else self._undecided(refitted)
@@ -268,7 +269,8 @@ class _Search:
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
         chain = self._without_instrument(chain)
-        return pair, chain, None if self._doubted else unknown
+        self._doubt_files(chain, along)
+        return (None, [], None) if self._doubted else (pair, chain, unknown)
 
     def _leaner_first(self, refitted: list[Refitted]) -> list[Refitted]:
         effects = {t.number: self.candidates[t.number].effect for t in refitted}
@@ -324,7 +326,29 @@ class _Search:
         beside = self.refits.beside_files(best)
         if beside is None or beside - self._prior_odds >= SURE:
             return None
-        return only_between_files(self.readings, self.candidates[best.number].effect)
+        return self._files_differ(best)
+
+    def _files_differ(self, t: Refitted) -> Doubt:
+        return only_between_files(self.readings, self.candidates[t.number].effect.label, self._channels(t))
+
+    def _doubt_files(self, members: Sequence[Refitted], along: Shaped | None = None) -> None:
+        """Doubt each of several effects that explains only differences between files beside the others.
+
+        Args:
+            members: each fitted beside those before it; the evidence of each is that of all up to it.
+            along: a shape without a name beside which they were fitted.
+        """
+        before, evidence = (self.refits.current.log_likelihood, 0.0)
+        if along is not None:
+            before, evidence = along.fit.log_likelihood, along.log_evidence
+        for t in members:
+            cost = (t.fit.log_likelihood - before) - (t.log_evidence - evidence)
+            before, evidence = t.fit.log_likelihood, t.log_evidence
+            first = self.prepared.base.shape[1] if t.before is None else t.before
+            others = np.delete(members[-1].fit.columns, np.s_[first : first + t.columns.shape[1]], axis=1)
+            beside = self.refits.beside_files(t, others, cost)
+            if beside is not None and beside - self._prior_odds < SURE:
+                self.doubts = (*self.doubts, self._files_differ(t))
 
     def _warm_up(self, best: Refitted) -> Floats | None:
         """Curves of an instrument that warms up, (m, k), where they explain the readings nearly as well; or None."""
@@ -385,6 +409,18 @@ class _Search:
             return False
         self.doubts = (*self.doubts, own_warm_up(f"A curve over {' and '.join(unknown.channels)}"))
         return True
+
+    def _of_files(self, unknown: Unknown) -> bool:
+        """Whether what has no name explains only differences between files, and no warm day and cold one: a doubt."""
+        given = self.refits.only_between_files(self._top_shape) if self._top_shape is not None else ()
+        if not given:
+            return False
+        form, over = (
+            "wave" if unknown.shape == "periodic" else "curve",
+            " and ".join(map(words.named, unknown.channels)),
+        )
+        self.doubts = (*self.doubts, found := only_between_files(self.readings, f"A {form} over {over}", given))
+        return found.fatal
 
     def _doubt_warm_up(self, t: Refitted, fatal: bool = False) -> None:
         """Doubt that an instrument explains a candidate; once."""
@@ -498,6 +534,7 @@ class _Search:
         apart = self._without_instrument([first, second])
         if len(apart) < len(best):
             return None, apart
+        self._doubt_files(apart)
         width = self.prepared.base.shape[1]
         both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
         return (both, second), []
@@ -621,7 +658,8 @@ class _Search:
         there = best.number in [t.number for t in chain]
         if worse or (there and (best.drop > MAIN or not far_better(chain[-1], best))):
             self.doubts, chain = known, []
-        return chain
+        self._doubt_files(chain)
+        return [] if self._doubted else chain
 
     def _shapes(self, best: Refitted | None) -> list[Shaped]:
         """The best shapes without a name, searched under the best estimate of the noise and under one without drift."""

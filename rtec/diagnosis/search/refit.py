@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.confounded import SAME, WITHIN, cosine, directness, diverse, plausibility
 from rtec.diagnosis.search.screen import UNMOVED, Bank, Projected, Screen, orthonormal, screen, screen_all
+from rtec.diagnosis.search.shapes import Ground
+from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL, EffectCandidate
@@ -740,32 +742,72 @@ class Refits:
         """
         return self.beside_columns(t, slow_slopes(t.fit.whitener))
 
-    def beside_files(self, t: Refitted) -> float | None:
+    def beside_files(self, t: Refitted, others: Floats | None = None, cost: float | None = None) -> float | None:
         """Log evidence of a candidate where each file has a number of its own for the same shape at constant channels.
 
-        None where only one file shows it, or where it depends only on positions, directions and time.
+        Args:
+            t: the candidate.
+            others: columns that are there without it, (m, p); None for those of the model.
+            cost: of its numbers and its choice; None where it was fitted beside the model alone.
+
+        Returns:
+            None where only one file shows it, or where it depends only on positions, directions and time.
         """
         readings, effect = self.readings, self.candidates[t.number].effect
-        source = np.array([s.source for s in readings.series])[readings.series_of]
-        files = np.unique(source[np.abs(t.columns).max(axis=1) > 0.0])
-        given = {"spindle_rpm", "load_kg", "force_n", *readings.machine.sensor_names} & set(
-            effect.channels(readings.machine)
-        )
+        source, files = self._files(t.columns)
+        given = self._given & set(effect.channels(readings.machine))
         if len(files) < 2 or not given:
             return None
         shapes = [readings.at_constant(effect, t.theta, channel) for channel in sorted(given)]
         own = np.concatenate([shape * (source == k)[:, None] for shape in shapes for k in files], axis=1)
-        base = np.concatenate([self.prepared.base, own], axis=1)
-        return self._evidence_beside(t, base, readings)
+        base = np.concatenate([self.prepared.base if others is None else others, own], axis=1)
+        return self._evidence_beside(t, base, readings, cost)
 
-    def _evidence_beside(self, t: Refitted, base: Floats, readings: Readings) -> float:
+    @cached_property
+    def _given(self) -> set[str]:
+        """Channels that a day gives: temperatures, load and spindle speed."""
+        return {"spindle_rpm", "load_kg", "force_n", *self.readings.machine.sensor_names}
+
+    def _files(self, columns: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Number of the file of each reading, (m,), and those files whose readings columns move."""
+        source = np.array([s.source for s in self.readings.series])[self.readings.series_of]
+        return source, np.unique(source[np.abs(columns).max(axis=1) > 0.0])
+
+    def only_between_files(self, top: Shaped) -> tuple[str, ...]:
+        """Temperatures, loads and speeds of a shape without a name that explains only differences between files.
+
+        Beside curves over its other variables, of each file its own, neither it nor a plane over the same variables
+        is significant. Empty where one is, where only one file shows it, or where it depends on none of these.
+        """
+        shape, ground = top.shape, Ground(self.readings)
+        source, files = self._files(top.columns)
+        given = tuple(v for v in shape.over if v in self._given)
+        if len(files) < 2 or not given:
+            return ()
+        others = [replace(shape, over=(v,), fine=(n,)) for v, n in zip(shape.over, shape.fine, strict=True)]
+        others = [s for s in others if s.over[0] not in given]
+        own = [np.ones((len(source), 1)), *map(ground.columns, others)]
+        apart = [np.concatenate(own, axis=1) * (source == k)[:, None] for k in files]
+        base = np.concatenate([self.prepared.base, *apart], axis=1)
+        plane = replace(shape, fine=(1,) * len(shape.fine)) if shape.period is None else shape
+        for columns in (top.columns, ground.columns(plane)):
+            cost = 0.5 * columns.shape[1] * math.log(len(self.readings))
+            if self._gain_beside(base, columns, self.readings) - cost > UNSURE:
+                return ()
+        return given
+
+    def _evidence_beside(self, t: Refitted, base: Floats, readings: Readings, cost: float | None = None) -> float:
         """Log evidence of a candidate beside columns other than the model's, (m, p)."""
+        cost = t.fit.log_likelihood - self.current.log_likelihood - t.log_evidence if cost is None else cost
+        return self._gain_beside(base, t.columns, readings) - cost
+
+    def _gain_beside(self, base: Floats, columns: Floats, readings: Readings) -> float:
+        """Gain in log likelihood by columns, (m, k), beside others, (m, p), under the noise found with the latter."""
         noise = find_noise(readings, base, least=self.prepared.whitener.least)
         without, with_it = (
-            fit_columns(noise, c).log_likelihood for c in (base, np.concatenate([base, t.columns], axis=1))
+            fit_columns(noise, c).log_likelihood for c in (base, np.concatenate([base, columns], axis=1))
         )
-        cost = t.fit.log_likelihood - self.current.log_likelihood - t.log_evidence
-        return with_it - without - cost
+        return with_it - without
 
     def at_instant(self, number: int) -> bool:
         """Whether a candidate is an event at one instant."""

@@ -1,0 +1,97 @@
+"""Two days between which the machine changed. Oracle: what was put in, which no temperature drives."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from tests.support.diagnosis_examples import effects, laser, small_machine
+
+KNOWN = ("backlash,component=EXX,axis=X,B=2", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11")
+
+
+def model() -> Model:
+    return Model(small_machine(), effects(*KNOWN), name="known")
+
+
+def days(seed: int, changed: Sequence[str], air_degc: Sequence[float], swing: float = 0.3) -> list[Measurement]:
+    """Two days of a machine that changed between them; the air swings about another temperature on each."""
+    out = []
+    for n, (more, degc) in enumerate(zip(((), changed), air_degc, strict=True)):
+        m, rng = laser([*KNOWN, *more], seed + n), np.random.default_rng(seed + n)
+        air = degc + swing * np.sin(4.0 * m.time_s / m.time_s[-1] + n) + 0.05 * rng.standard_normal(len(m))
+        out.append(replace(m, channels={**m.channels, "T_air": air}))
+    return out
+
+
+@pytest.mark.parametrize(("k", "seed"), [(18, 103), (18, 105), (18, 101), (45, 101), (45, 105)])
+def test_a_scale_that_changed_between_two_days_is_no_heat(k: int, seed: int) -> None:
+    """It had been called a scale and an expansion by the air together, or an error without a name over both."""
+    d = diagnose(model(), days(seed, [f"scale,component=EXX,axis=X,k={k}"], (22.6, 20.2)), draws=50)
+    assert d.verdict == "undecided"
+    assert [(x.kind, x.fatal) for x in d.doubts] == [("between_files", True)]
+    assert not d.findings[0].accepted
+    assert not d.together
+    assert d.unknown is None
+    assert "within each of them the readings do not follow T_air" in d.sentence
+    assert d.sentence.endswith("If the machine changed between them, diagnose the newer file alone.")
+
+
+@pytest.mark.parametrize("seed", [101, 103])
+def test_of_the_new_day_alone_the_scale_is_named(seed: int) -> None:
+    """What the answer to both asks for."""
+    new = days(seed, ["scale,component=EXX,axis=X,k=18"], (22.6, 20.2))[1:]
+    assert diagnose(model(), new, draws=50).findings[0].label == "scale(EXX, X)"
+
+
+def grown(m: Measurement, um_per_mm_degc: float) -> Measurement:
+    """The same of an axis that grows by the air, and is longer throughout."""
+    x, air = m.channels["x"], m.channels["T_air"]
+    more = (um_per_mm_degc * (air - 20.0) - 0.02) * x
+    return replace(m, readings={k: v + more for k, v in m.readings.items()})
+
+
+@pytest.mark.parametrize("seed", [101, 103])
+def test_what_follows_the_air_within_each_day_is_named(seed: int) -> None:
+    """A scale and an expansion together, both on both days. Oracle: these two."""
+    both = [grown(m, 0.009) for m in days(seed, (), (22.6, 20.2), swing=2.0)]
+    d = diagnose(model(), both, draws=50)
+    assert {"scale(EXX, X)", "axis_expansion(EXX, X, T_air)"} <= {m.label for m in d.together}
+    assert "between_files" not in {x.kind for x in d.doubts}
+
+
+@pytest.mark.parametrize("seed", [101, 103])
+def test_what_has_no_name_and_follows_the_air_within_each_day_is_no_change(seed: int) -> None:
+    """An axis that bends with the air squared. Oracle: its variables."""
+    both = []
+    for m in days(seed, (), (22.6, 20.2), swing=2.0):
+        bent = 4.0 * np.cos(m.channels["x"] / 25.0) * (m.channels["T_air"] - 20.0) ** 2 / 10.0
+        both.append(replace(m, readings={k: v + bent for k, v in m.readings.items()}))
+    d = diagnose(model(), both, draws=50)
+    assert d.unknown is not None
+    assert "T_air" in d.unknown.channels
+    assert "between_files" not in {x.kind for x in d.doubts}
+
+
+@pytest.mark.parametrize("seed", [101, 103])
+def test_a_wave_that_is_there_on_one_day_only_does_not_grow_with_the_air(seed: int) -> None:
+    """Of one period, and of no screw: without a name it had grown with the air. Oracle: what was put in."""
+    wave = "cyclic_pole,component=EXX,axis=X,s=3,c=-2,period=61.3"
+    d = diagnose(model(), days(seed, [wave], (22.6, 20.2)), draws=50)
+    assert "T_air" not in (d.unknown.channels if d.unknown is not None else ())
+    assert not any("T_air" in m.label for m in d.together)
+
+
+def test_days_alike_that_differ_contradict_each_other_though_both_warmed() -> None:
+    """Play that changed; the bed warms by kelvins on both days. Oracle: what was put in, and the bed's readings."""
+    both = days(103, ["backlash,component=EXX,axis=X,B=4"], (20.0, 20.0))
+    assert min(float(np.ptp(m.channels["T_bed"])) for m in both) > 3.0
+    d = diagnose(model(), both, draws=50)
+    assert [x.kind for x in d.doubts] == ["contradiction"]
+    assert "although every other recorded channel took much the same values in both" in d.sentence
+    assert d.sentence.endswith("If the machine changed between them, diagnose the newer file alone.")
+    assert "turned" not in d.sentence
