@@ -11,6 +11,7 @@ from rtec.characterise.coverage import accelerated, followed, highest_degree, pl
 from rtec.effects import Effect, effect_class
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
+from rtec.effects.spindle import of_spindle
 from rtec.estimation.candidates import library
 from rtec.estimation.gram.source import Source, both_ways, gone_along, lags_s, reads, speed_varies
 from rtec.estimation.gram.stream import Term
@@ -157,7 +158,11 @@ def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Term
 
 def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[TermCandidate]:
     """Temperature, difference and speed candidates of a component: alone, times position, times its square."""
-    axis, taus = seen.axis, lags_s(sources)
+    axis, taus, runs = seen.axis, lags_s(sources), speed_varies(sources)
+    machine = sources[0].measurement.machine
+    kind = component_kind(seen.name, machine)
+    growth = "spindle_tilt" if component_unit(seen.name) == "urad" else "spindle_growth"
+    shift = growth if kind != "link" or of_spindle(machine, seen.name, runs) else "mount_expansion"
     for sensor in varying:
         for tau in (None, *taus):
             lag: dict[str, Any] = {} if tau is None else {"lag": True}
@@ -165,7 +170,7 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
             said = sensor if tau is None else f"{sensor} lagged {tau:g} s"
             more: dict[str, Any] = {"feature": said, "channels": (sensor,), "sensor": sensor, **lag}
             if seen.axis is None:
-                yield _candidate("temperature", _growth(seen.name), seen.name, theta, **more)
+                yield _candidate("temperature", shift, seen.name, theta, **more)
                 continue
             yield _candidate("temperature", "mount_expansion", seen.name, theta, **more)
             if axis is not None and seen.moves and seen.name[2] != "0":
@@ -175,11 +180,11 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
     for front, back in itertools.combinations(varying, 2):
         more = {"feature": f"{front} - {back}", "channels": (front, back), "front": front, "back": back}
         yield _candidate("difference", "column_tilt", seen.name, **more)
-    if axis is None and speed_varies(sources):
+    if axis is None and runs:
         for p, tau in itertools.product(EXPONENTS, taus):
             said = f"spindle_rpm to the {p:g} lagged {tau:g} s"
             theta = {"tau": tau, "p": p}
-            yield _candidate("speed", _growth(seen.name), seen.name, theta, feature=said, channels=("spindle_rpm",))
+            yield _candidate("speed", growth, seen.name, theta, feature=said, channels=("spindle_rpm",))
 
 
 def at_constant_temperature(one: TermCandidate, candidates: Sequence[TermCandidate]) -> TermCandidate | None:
@@ -222,10 +227,6 @@ def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: s
             at = "".join(f" {n} {v:.4g}" for n, v in theta.items())
             out.append(TermCandidate(Term(c.effect, dict(theta)), "other", f"{by}{at}", channels))
     return out
-
-
-def _growth(component: str) -> str:
-    return "spindle_tilt" if component_unit(component) == "urad" else "spindle_growth"
 
 
 def _candidate(

@@ -20,13 +20,19 @@ OTHER_BODIES = ("table", "bed", "base", "column", "granite", "frame", "pallet", 
 """Words in the names of links that are no spindle."""
 
 
-def _of_spindle(around: Surroundings) -> bool:
-    """Whether a component is of the link that is named after the spindle; where none is, of no other body's."""
-    links, link = (*around.machine.tool_chain, *around.machine.work_chain), around.component[3:]
+def of_spindle(machine: Machine, component: str, runs: bool) -> bool:
+    """Whether a component is of the link that is named after the spindle; where none is, of no other body's.
+
+    Args:
+        machine: its machine.
+        component: of a fixed link, such as `EZ0spindle`.
+        runs: whether the spindle's speed varies in the readings.
+    """
+    links, link = (*machine.tool_chain, *machine.work_chain), component[3:]
     own = [name for name in links if "spindle" in name.lower() or name.lower() == "s"]
     if own:
         return link in own
-    return "spindle_rpm" in around.channels and not any(word in link.lower() for word in OTHER_BODIES)
+    return runs and not any(word in link.lower() for word in OTHER_BODIES)
 
 
 class SpindleGrowth(Effect):
@@ -80,7 +86,7 @@ class SpindleGrowth(Effect):
     def missing(cls, around: Surroundings) -> str:
         """Needs the spindle's link, and the speed or a temperature; across the spindle the speed."""
         fed = component_kind(around.component, around.machine) in cls.feeds
-        if fed and not _of_spindle(around):
+        if fed and not of_spindle(around.machine, around.component, "spindle_rpm" in around.channels):
             return NO_SPINDLE
         if not fed or "spindle_rpm" in around.channels or (around.sensors and cls._by_sensor(around)):
             return ""
@@ -164,7 +170,11 @@ class SpindleSpeedShift(Effect):
     def missing(cls, around: Surroundings) -> str:
         """Needs the spindle's link, and its speed."""
         fed = component_kind(around.component, around.machine) in cls.feeds
-        return super().missing(around) or (NO_SPINDLE if fed and not _of_spindle(around) else "")
+        return super().missing(around) or (
+            NO_SPINDLE
+            if fed and not of_spindle(around.machine, around.component, "spindle_rpm" in around.channels)
+            else ""
+        )
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`c`, at 1000 1/min."""

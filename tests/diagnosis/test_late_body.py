@@ -8,15 +8,18 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import fitted_model
+from rtec.characterise.candidates import thermal
 from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis import doubts
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search import diagnose as search
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.candidates import library
+from rtec.estimation.gram.source import Source
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
+from rtec.estimation.visible import VisibleComponent
 from rtec.machine import Machine, machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -117,6 +120,15 @@ def test_a_table_is_no_spindle() -> None:
     assert links <= {"head", "tool"}
 
 
+def test_nor_is_it_one_in_a_fit() -> None:
+    """`rtec fit` calls what shifts a table the growth of a mounting; only the spindle's link has a spindle's growth."""
+    m = probed(4, 6.0, 0.0)
+    sources = [Source.of(m)]
+    for link, effect in (("table", "mount_expansion"), ("spindle", "spindle_growth")):
+        seen = VisibleComponent(f"EY0{link}", None, moves=False)
+        assert {c.term.effect.effect for c in thermal(seen, sources, ["T_col_front"])} == {effect}
+
+
 def test_the_record_that_a_model_was_fitted_to_is_not_accused_of_a_turned_axis() -> None:
     """A fit follows the places that the record has: with X turned round it might fit better, but X was not turned."""
     m = line(5, growth=8.0, fixed_mm=-600.0)
@@ -166,7 +178,7 @@ def probed(seed: int, urad_per_degc: float, tau_s: float) -> Measurement:
     front, back = 6.0 * delayed(sun, time_s, 1500.0), 1.5 * delayed(sun, time_s, 6000.0)
     air = 0.8 * np.sin(2.0 * np.pi * time_s / 86400.0)
     true = {"T_col_front": front + air, "T_col_back": back + air, "T_spindle": 0.5 * air, "T_air": air}
-    tilt = urad_per_degc * delayed(front - back, time_s, tau_s)
+    tilt = urad_per_degc * (delayed(front - back, time_s, tau_s) if tau_s else front - back)
     probes = {f"probe.{n}": {"direction": "Y", "offset_mm": [0.0, 0.0, z], "sign": 1} for n, z in HEIGHTS.items()}
     setup = {"probe": {k.removeprefix("probe."): v for k, v in probes.items()}}
     read_degc = {k: np.round(20.0 + v + 0.03 * rng.normal(size=len(v)), 1) for k, v in true.items()}
