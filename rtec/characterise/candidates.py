@@ -34,10 +34,11 @@ EXPONENTS = (1.0, 1.5, 2.0)
 FREE = ("load_deformation", "backlash_load")
 """Effects of the catalogue beyond those of `geometry`, `extended` and `thermal` that a free choice tries."""
 THERMAL = {
-    "axis_expansion", "axis_expansion_nonuniform", "column_tilt", "mount_expansion", "spindle_growth", "spindle_tilt",
+    "axis_expansion", "axis_expansion_nonuniform", "bed_bending", "column_tilt", "mount_expansion", "spindle_growth",
+    "spindle_tilt",
 }  # fmt: skip
 """Effects of `thermal`."""
-DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2}
+DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2, "bed_bending": 2}
 """Power of the position in an effect of temperature; 0 for the others."""
 
 
@@ -180,6 +181,8 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
     for front, back in itertools.combinations(varying, 2):
         more = {"feature": f"{front} - {back}", "channels": (front, back), "front": front, "back": back}
         yield _candidate("difference", "column_tilt", seen.name, **more)
+        if axis is not None and seen.moves and kind == "straightness":
+            yield _candidate("difference", "bed_bending", seen.name, axis=axis.name, **more)
     if axis is None and runs:
         for p, tau in itertools.product(EXPONENTS, taus):
             said = f"spindle_rpm to the {p:g} lagged {tau:g} s"
