@@ -9,7 +9,7 @@ import numpy as np
 
 from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.history import Errors
-from rtec.diagnosis.extend.improve import Improved
+from rtec.diagnosis.extend.improve import NEAREST, Improved
 from rtec.diagnosis.extend.record_event import words
 from rtec.diagnosis.words import sentence, spoken
 from rtec.model import Model
@@ -143,6 +143,8 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
             f"{refit}{added} added: the residual on held-out runs {went}; "
             f"the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {_why_ended(r)}."
         )
+        near = [", ".join(s.labels) for s in r.steps if any(n.startswith(NEAREST) for n in s.notes)]
+        lead += f" {' and '.join(near)}: only the nearest of the catalogue to what was missing." if near else ""
     if r.events:
         lead = f"{lead} {words(r.events)}"
     steps = [
@@ -165,6 +167,8 @@ def _why_ended(r: Improved) -> str:
     """Why the improvement ended, in words."""
     if r.reason == "no_gain" and r.cancelling:
         return f"these readings determine only what {' and '.join(r.cancelling)} make together"
+    if r.reason == "unknown_effect" and r.steps:
+        return "what is still missing is not in the catalogue"
     return WHY_ENDED[r.reason]
 
 

@@ -3,10 +3,14 @@
 Oracle: what the readings were made of, on another day.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import fitted_model
+from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis.extend.improve import improve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
@@ -14,6 +18,7 @@ from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.report.history import improved_page
 from tests.diagnosis.test_late_body import delayed
 from tests.support.machines import axis
 
@@ -66,14 +71,29 @@ def day(law: object, seed: int, duty: float) -> Measurement:
     )  # fmt: skip
 
 
+def nothing(x: Floats, nut: Floats, time_s: Floats) -> Floats:
+    """No error."""
+    del nut, time_s
+    return np.zeros(len(x))
+
+
+@cache
+def start(fitted: bool) -> Model:
+    """An empty model, or one that was fitted before the error was there."""
+    if not fitted:
+        return Model(MACHINE, (), name="empty")
+    return fitted_model([day(nothing, 9, 1.0)], wanted=read_wanted("scale,backlash", MACHINE))
+
+
+@pytest.mark.parametrize("fitted", [False, True], ids=["empty", "fitted"])
 @pytest.mark.parametrize(("law", "most"), [(half_warm, 0.35), (worn, 0.3)])
-def test_the_nearest_is_added_where_it_removes_most(law: object, most: float) -> None:
-    empty = Model(MACHINE, (), name="empty")
-    done = improve(empty, [day(law, 1, 1.0)], draws=50)
+def test_the_nearest_is_added_where_it_removes_most(law: object, most: float, fitted: bool) -> None:
+    done = improve(start(fitted), [day(law, 1, 1.0)], draws=50)
     assert done.diagnoses[0].verdict == "unknown_effect"
     assert "this is the nearest" in " ".join(done.steps[0].notes)
+    assert f"{done.steps[0].labels[0]}: only the nearest of the catalogue" in improved_page(done, figures=False).lead
     other = clean([day(law, 2, 0.5)], 20.0)
-    assert Judgement(done.model, other).residual < most * Judgement(empty, other).residual
+    assert Judgement(done.model, other).residual < most * Judgement(start(fitted), other).residual
 
 
 def test_what_has_no_near_effect_gets_none() -> None:

@@ -26,7 +26,7 @@ from rtec.diagnosis.extend.add import (
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import further_temperatures, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
-from rtec.diagnosis.search.diagnose import DRAWS, LEAST, diagnose
+from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import ModelError
@@ -67,6 +67,7 @@ TRIED = 6
 VISIBLE = 0.35
 """A further temperature must lower the error on held-out runs by more than this multiple of the noise floor, in
 squares: what hides in the noise is not worth an effect that names no cause and may act more strongly on another day."""
+NEAREST = "no effect of the catalogue describes what is missing"
 FURTHER = (
     "this is a further temperature of an effect that the model has, for a body between several sensors; it was taken "
     "because it predicts held-out runs better, and it names no cause of its own"
@@ -394,7 +395,7 @@ class _Growth:
         lead = next((f for f in choices if hold(_new_effects(f, model))), None)
         if lead is None:
             return None
-        ordered = [replace(lead, accepted=True), *(f for f in found.findings if f is not lead)]
+        ordered = [replace(lead, accepted=found.findings[0].accepted), *(f for f in found.findings if f is not lead)]
         return replace(found, findings=tuple(replace(f, rank=i) for i, f in enumerate(ordered, 1)))
 
     def _several(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
@@ -475,19 +476,16 @@ def _proposes(found: Diagnosis) -> bool:
     """Whether the first candidate was accepted; or is the nearest to what has no name, and removes most of it."""
     if not found.findings or found.findings[0].accepted:
         return bool(found.findings)
-    share = found.adequacy if found.verdict == "unknown_effect" else None
+    unnamed = found.verdict == "unknown_effect" and found.adequacy is not None
     doubted = any(d.kind != "other_machine" for d in found.doubts)
-    return share is not None and share >= LEAST and found.findings[0].heldout_drop >= MOSTLY and not doubted
+    return unnamed and found.findings[0].heldout_drop >= MOSTLY and not doubted
 
 
 def _nearest_note(found: Diagnosis) -> tuple[str, ...]:
     """Note that an added effect is only the nearest to what has no name."""
     if found.verdict != "unknown_effect" or found.adequacy is None or found.findings[0].accepted:
         return ()
-    return (
-        "no effect of the catalogue describes what is missing; this is the nearest, and explains "
-        f"{percent(found.adequacy)} of what can be explained",
-    )
+    return (f"{NEAREST}; this is the nearest, and explains {percent(found.adequacy)} of what can be explained",)
 
 
 def _new_effects(finding: Finding, model: Model) -> list[FittedEffect]:
