@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
     "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
-    "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures",
+    "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "unexplained",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -57,7 +57,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     }
 )
 """Doubts beside which no effect of the machine is named."""
-DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets"}
+DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets", "unexplained"}
 """Doubts beside which it is undetermined whether an effect is missing."""
 
 BETTER = 0.5
@@ -94,6 +94,8 @@ FLAT, MUCH = 1.5, 5.0
 DISAGREES, INSIDE = 3.0, 0.2
 """A model disagrees with a file where its residual is this many times that of its fit, on readings in the range of the
 fit: at least this share of the file."""
+UNEXPLAINED = 2.0
+"""A residual of this many times noise and slow drift together is neither; of quiet records it is at most 1.4 times."""
 FEW_RUNS = 4
 ALONE = "If the machine changed between them, diagnose the newer file alone."
 
@@ -184,6 +186,22 @@ def _disagree(judged: Judgement) -> list[Doubt]:
         )
         out.append(Doubt("other_machine", message, step))
     return out
+
+
+def unexplained(judged: Judgement) -> Doubt | None:
+    """Doubt that nothing is missing where the residual is far above noise and slow drift; None where it is not."""
+    left = min(judged.residual, judged.refitted if math.isfinite(judged.refitted) else math.inf)
+    usual = math.hypot(judged.noise_floor, judged.drift)
+    if not left > UNEXPLAINED * usual:
+        return None
+    size, noise = sizes(left, usual)
+    unit, several = ERROR_UNITS[judged.unit], len(judged.readings.measurements) > 1
+    message = (
+        f"The residual is {size} {unit}, noise and slow drift together are {noise} {unit}, and neither an effect of "
+        "the catalogue nor a shape without a name describes it."
+    )
+    step = "rtec compare with --report draws it over each variable."
+    return Doubt("unexplained", message, f"Diagnose each file alone; {step}" if several else step, fatal=True)
 
 
 def _in_range(model: Model, state: State) -> NDArray[np.bool_]:

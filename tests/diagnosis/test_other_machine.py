@@ -4,15 +4,17 @@ from functools import cache
 
 import pytest
 
-from rtec.characterise import characterise
+from rtec.characterise import characterise, fitted_model
+from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from tests.support.diagnosis_examples import laser
+from tests.support.diagnosis_examples import NOISE_UM, laser
 
 OURS = ["scale,component=EXX,axis=X,k=30", "backlash,component=EXX,axis=X,B=3"]
 THEIRS = ["scale,component=EXX,axis=X,k=-45", "backlash,component=EXX,axis=X,B=6"]
 HEAT = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=9"
+SCALE, PLAY = "scale,component=EXX,axis=X,k=12", "backlash,component=EXX,axis=X,B=3"
 COLD, HOT = ({"air_degc": 20.0, "body": {"T_bed": {"on_degc": on}}} for on in (3.0, 16.0))
 
 
@@ -56,3 +58,17 @@ def test_a_model_of_no_fit_and_the_files_of_the_fit_are_not_asked() -> None:
     own = Model(model.machine, model.effects[:1], name="by hand")
     assert not any(d.kind == "other_machine" for d in diagnose(poor, files[:1], draws=50).doubts)
     assert not any(d.kind == "other_machine" for d in diagnose(own, files, draws=50).doubts)
+
+
+def test_what_nothing_describes_is_not_called_nothing() -> None:
+    """The screw's wave is there on the second, warmer day only. Oracle: the noise, a quarter of the residual."""
+    wave = "cyclic_screw,component=EXX,axis=X,s1=2.5,c1=0,pitch=5"
+    first = laser([SCALE, PLAY], 101, thermal=COLD)
+    second = laser([SCALE, PLAY, wave], 102, thermal=HOT)
+    model = fitted_model([first], wanted=read_wanted("scale,backlash", first.machine))
+    d = diagnose(model, [first, second], draws=50)
+    assert d.rms_residual > 4.0 * NOISE_UM
+    assert d.verdict == "undecided"
+    assert [doubt.kind for doubt in d.doubts if doubt.fatal] == ["unexplained"]
+    assert "Diagnose each file alone" in d.sentence
+    assert not diagnose(model, [first], draws=50).doubts

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
+from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt, unexplained
 from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
@@ -328,12 +328,12 @@ class _Answer:
         return (*out, *(d for d in (substitute, slow) if d is not None))
 
     def _drift(self) -> Doubt | None:
-        """Doubt where nothing is named, and a drift by many times the noise stays unexplained."""
+        """Doubt where nothing is named, and a drift by many times the noise, or anything else, stays unexplained."""
         nothing = self.s.unknown is None and self.s.undecided is None and not any(d.fatal for d in self.s.doubts)
         judged = self.s.judged
         if not nothing or judged.refitted < REFIT * judged.residual:
             return None
-        return drift_by_far(judged, self.s.refits.current)
+        return drift_by_far(judged, self.s.refits.current) or unexplained(judged)
 
     def _heat_by_time(self) -> Doubt | None:
         """Doubt that what has no name is heat: it depends on time, and no temperature changed."""
