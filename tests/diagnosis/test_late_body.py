@@ -27,6 +27,7 @@ from rtec.model import Model
 from rtec.report.history import improved_page
 from tests.support.diagnosis_examples import TABLE
 from tests.support.machines import axis
+from tests.support.warming import delayed
 
 Floats = NDArray[np.float64]
 RUNS, TARGETS, NOISE_UM = 16, 15, 0.2
@@ -40,16 +41,6 @@ def mill() -> Machine:
     links = {name: {"offset_mm": [0.0, 0.0, 50.0]} for name in ("head", "tool", "table")}
     axes = {**TABLE["axis"], "X": axis("X", travel_mm=[-600.0, 0.0])}
     return machine_from({**TABLE, "machine": chains, "axis": axes, "link": links}, "mill")
-
-
-def delayed(rise: Floats, time_s: Floats, tau_s: float) -> Floats:
-    """First-order lag in small steps."""
-    fine = np.arange(0.0, time_s[-1] + 10.0, 10.0)
-    given, out = np.interp(fine, time_s, rise), np.empty(len(fine))
-    out[0] = given[0]
-    for i in range(1, len(fine)):
-        out[i] = out[i - 1] + (1.0 - math.exp(-10.0 / tau_s)) * (given[i] - out[i - 1])
-    return np.asarray(np.interp(time_s, fine, out))
 
 
 def line(

@@ -19,8 +19,8 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.history import improved_page
-from tests.diagnosis.test_late_body import delayed
 from tests.support.machines import axis
+from tests.support.warming import delayed
 
 Floats = NDArray[np.float64]
 NOISE_UM, LENGTH_MM = 0.4, 600.0

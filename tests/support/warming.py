@@ -4,6 +4,7 @@ Heat flows between nut, screw, motor, bed and air in small steps. The law of the
 squares with its columns tells how well the other day can be predicted.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -86,6 +87,16 @@ def warming(seed: int, runs: int, *, source: str = "T_bed", lag_s: float = 0.0, 
     (given, inner), (other, outer) = days
     used = [0, 1, 2] if grows else [0, 1]
     return Warming(given, other, (inner @ size, outer @ size), (inner[:, used], outer[:, used]))
+
+
+def delayed(rise: Floats, time_s: Floats, tau_s: float) -> Floats:
+    """First-order lag in small steps."""
+    fine = np.arange(0.0, time_s[-1] + 10.0, 10.0)
+    given, out = np.interp(fine, time_s, rise), np.empty(len(fine))
+    out[0] = given[0]
+    for i in range(1, len(fine)):
+        out[i] = out[i - 1] + (1.0 - math.exp(-10.0 / tau_s)) * (given[i] - out[i - 1])
+    return np.asarray(np.interp(time_s, fine, out))
 
 
 def _machine(low: float, travel: float) -> Machine:
