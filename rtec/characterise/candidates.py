@@ -16,7 +16,7 @@ from rtec.estimation.candidates import library
 from rtec.estimation.gram.source import Source, both_ways, gone_along, lags_s, reads, speed_varies
 from rtec.estimation.gram.stream import Term
 from rtec.estimation.readings import read
-from rtec.estimation.visible import VisibleComponent
+from rtec.estimation.visible import VisibleComponent, moves
 from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
@@ -163,13 +163,18 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
     machine = sources[0].measurement.machine
     kind = component_kind(seen.name, machine)
     growth = "spindle_tilt" if component_unit(seen.name) == "urad" else "spindle_growth"
-    shift = growth if kind != "link" or of_spindle(machine, seen.name, runs) else "mount_expansion"
+    own = axis is not None or of_spindle(machine, seen.name, runs)
+    shift = growth if own or kind != "link" else "mount_expansion"
+    # Where an axis moves, its mounting shifts or turns the readings as much as a body that is no spindle does.
+    twice = not own and any(moves(s.measurement, a) for s in sources for a in machine.axes)
     for sensor in varying:
         for tau in (None, *taus):
             lag: dict[str, Any] = {} if tau is None else {"lag": True}
             theta = {} if tau is None else {"tau": tau}
             said = sensor if tau is None else f"{sensor} lagged {tau:g} s"
             more: dict[str, Any] = {"feature": said, "channels": (sensor,), "sensor": sensor, **lag}
+            if seen.axis is None and twice:
+                continue
             if seen.axis is None:
                 yield _candidate("temperature", shift, seen.name, theta, **more)
                 continue
