@@ -35,6 +35,10 @@ def of_spindle(machine: Machine, component: str, runs: bool) -> bool:
     return runs and not any(word in link.lower() for word in OTHER_BODIES)
 
 
+def _is_spindle(around: Surroundings) -> bool:
+    return of_spindle(around.machine, around.component, "spindle_rpm" in around.channels)
+
+
 class SpindleGrowth(Effect):
     """Spindle growth: with a sensor `e = k ΔT` (lagged with `lag`), without one `e = k L[(n/1000)^p]`."""
 
@@ -86,7 +90,7 @@ class SpindleGrowth(Effect):
     def missing(cls, around: Surroundings) -> str:
         """Needs the spindle's link, and the speed or a temperature; across the spindle the speed."""
         fed = component_kind(around.component, around.machine) in cls.feeds
-        if fed and not of_spindle(around.machine, around.component, "spindle_rpm" in around.channels):
+        if fed and not _is_spindle(around):
             return NO_SPINDLE
         if not fed or "spindle_rpm" in around.channels or (around.sensors and cls._by_sensor(around)):
             return ""
@@ -170,11 +174,7 @@ class SpindleSpeedShift(Effect):
     def missing(cls, around: Surroundings) -> str:
         """Needs the spindle's link, and its speed."""
         fed = component_kind(around.component, around.machine) in cls.feeds
-        return super().missing(around) or (
-            NO_SPINDLE
-            if fed and not of_spindle(around.machine, around.component, "spindle_rpm" in around.channels)
-            else ""
-        )
+        return super().missing(around) or (NO_SPINDLE if fed and not _is_spindle(around) else "")
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`c`, at 1000 1/min."""
