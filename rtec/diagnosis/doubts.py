@@ -200,8 +200,8 @@ def unexplained(judged: Judgement) -> Doubt | None:
         f"The residual is {size} {unit}, noise and slow drift together are {noise} {unit}, and neither an effect of "
         "the catalogue nor a shape without a name describes it."
     )
-    step = "rtec compare with --report draws it over each variable."
-    return Doubt("unexplained", message, f"Diagnose each file alone; {step}" if several else step, fatal=True)
+    step = "`rtec compare --report` draws it over each variable."
+    return Doubt("unexplained", message, f"Diagnose each file alone. {step}" if several else step, fatal=True)
 
 
 def _in_range(model: Model, state: State) -> NDArray[np.bool_]:

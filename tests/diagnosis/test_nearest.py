@@ -1,4 +1,4 @@
-"""What no effect of the catalogue describes: the nearest one is added where it removes most, and it is said so.
+"""Errors that no effect of the catalogue describes: `improve` adds the nearest one if it removes most, and says so.
 
 Oracle: what the readings were made of, on another day.
 """
