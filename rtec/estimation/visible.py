@@ -173,13 +173,28 @@ def moves(measurement: Measurement, axis: Axis, rows: NDArray[np.intp] | slice =
 def same_place_mm(measurement: Measurement) -> Floats:
     """Distance along each axis within which two positions are one place, mm, (axes,).
 
-    Of the axis that an instrument follows in steps of micrometres it is smaller than the steps.
+    Of the axis that an instrument follows in steps of micrometres, at one place of it or at several, it is smaller than
+    the steps.
     """
     out = np.full(len(measurement.machine.axes), SAME_MM)
     for i, axis in enumerate(measurement.machine.axes):
         if measurement.instrument.axis == axis.name and moves(measurement, axis):
-            out[i] = min(SAME_MM, float(np.ptp(measurement.channels[axis.channel])) / PLACES_ACROSS)
+            out[i] = min(SAME_MM, _way_mm(measurement.channels[axis.channel]) / PLACES_ACROSS)
     return out
+
+
+def _way_mm(position_mm: Floats) -> float:
+    """The way over which an axis went in fine steps, mm: of the median reading that belongs to such a way.
+
+    Between two ways the axis jumps. Where most readings belong to none, it is the whole way.
+    """
+    at = np.flatnonzero(np.abs(np.diff(position_mm)) > SAME_MM) + 1
+    ways = np.split(position_mm, at)
+    spans, counts = np.array([float(np.ptp(w)) for w in ways]), np.array([len(w) for w in ways])
+    fine = spans > FINELY_MM
+    if 2 * int(counts[fine].sum()) < len(position_mm):
+        return float(np.ptp(position_mm))
+    return float(np.median(np.repeat(spans[fine], counts[fine])))
 
 
 def _axis_name(component: str, machine: Machine) -> str | None:

@@ -30,11 +30,18 @@ MACHINE = machine_from(
 
 
 def fine(
-    along: str, step_mm: float, wave_um: float, period_mm: float, backlash_um: float, noise_um: float
+    along: str,
+    step_mm: float,
+    wave_um: float,
+    period_mm: float,
+    backlash_um: float,
+    noise_um: float,
+    spots_mm: tuple[float, ...] = (0.0,),
 ) -> Measurement:
-    """Six runs there and back over some sixty targets at unequal steps."""
+    """Six runs there and back over sixty targets at unequal steps, at one place of the axis or shared among several."""
     rng = np.random.default_rng(7)
-    places = np.cumsum(step_mm * rng.uniform(0.5, 1.5, 60)) + 0.001
+    each = 60 // len(spots_mm)
+    places = np.concatenate([spot + np.cumsum(step_mm * rng.uniform(0.5, 1.5, each)) + 0.001 for spot in spots_mm])
     x = np.tile(np.concatenate([places, places[::-1]]), 6)
     way = np.tile(np.repeat([1.0, -1.0], 60), 6)
     run = np.repeat(np.arange(1, 7), 120)
@@ -68,3 +75,14 @@ def test_what_fine_steps_over_a_short_way_show_is_named(
     floor = compare(done.model, [m]).items[0]
     assert floor.left.rms < 1.1 * noise_um
     assert floor.floor == pytest.approx(noise_um, rel=0.1)
+
+
+def test_a_wave_of_the_scale_is_named_from_fine_steps_at_three_places() -> None:
+    # the places are no whole number of periods apart; all targets of one place lie within the pitch of the scale or two
+    m = fine("X", 0.002, 0.2, 0.02, 0.0, 0.05, spots_mm=(-25.0, 0.0133, 21.0071))
+    empty = Model(MACHINE, (), name="empty")
+    found = diagnose(empty, [m], draws=50)
+    assert found.verdict in ("missing_effect", "ambiguous")
+    assert "interpolation_error(EXX, X)" in [f.effect.label for f in found.findings if f.group]
+    done = improve(empty, [m], draws=50)
+    assert compare(done.model, [m]).items[0].left.rms < 1.1 * 0.05
