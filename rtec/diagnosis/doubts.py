@@ -258,7 +258,8 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
         # A refit of the numbers compensates a factor.
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     if found.residual <= min(BETTER * judged.residual, near):
-        return found
+        drifts = found.residual > NEAR_FLOOR * judged.noise_floor
+        return None if drifts and found.kind == "swapped_sensors" and _two_leave_less(judged, found) else found
     return found if found.fatal and _as_in_the_fit(judged, found) else None
 
 
@@ -278,34 +279,55 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     if found.residual > min(AGAIN * judged.residual, max(by_fit, by_refit)):
         return False
 
-    def left_by(columns: Floats) -> float:
-        return judged.pooled(judged.left - columns @ solve(columns, judged.left))
-
     def moved(effect: Effect, theta: Mapping[str, float]) -> Floats:
         return floor.cleaned(readings, readings.columns(effect, theta))
 
-    if any(left_by(moved(f.effect, f.theta)) < AS_GOOD * found.residual for f in judged.model.effects):
+    if any(_left_by(judged, moved(f.effect, f.theta)) < AS_GOOD * found.residual for f in judged.model.effects):
         return False
-    simple = [c.effect for c in library(readings)[0] if _simple(c.effect, judged.model.machine)]
-    if any(_clearly_less(left_by(moved(e, {})), found.residual, judged.noise_floor) for e in simple):
+    simple = _simple(judged)
+    if any(_clearly_less(_left_by(judged, moved(e, {})), found.residual, judged.noise_floor) for e in simple):
         return False
     # One that changes with time would follow a drift.
     machine = judged.model.machine
     places = {c for a in machine.axes for c in a.moving_channels}
     fixed = [e for e in simple if set(e.channels(machine)) <= places]
     own = floor.cleaned(readings, judged.base.columns)
-    return not any(left_by(np.hstack([own, moved(e, {})])) < FAR_LESS * found.residual for e in fixed)
+    return not any(_left_by(judged, np.hstack([own, moved(e, {})])) < FAR_LESS * found.residual for e in fixed)
+
+
+def _two_leave_less(judged: Judgement, found: "_Edit") -> bool:
+    """Whether a missing effect of one number, with another or with new numbers of the model, leaves clearly less.
+
+    Two sensors that are exchanged look like two effects, one by each: these leave no less than the exchange.
+    """
+    readings, noise = judged.readings, judged.noise_floor
+    columns = [floor.cleaned(readings, readings.columns(e, {})) for e in _simple(judged)]
+    first = min(columns, key=lambda c: _left_by(judged, c), default=None)
+    begun = [floor.cleaned(readings, judged.base.columns), *([] if first is None else [first])]
+    beside = (_left_by(judged, np.hstack([b, c])) for b in begun for c in columns)
+    return any(_less_above(left, found.residual, noise) for left in beside)
+
+
+def _left_by(judged: Judgement, columns: Floats) -> float:
+    """Residual with columns fitted to it."""
+    return judged.pooled(judged.left - columns @ solve(columns, judged.left))
 
 
 def _clearly_less(one: float, other: float, noise: float) -> bool:
     """Whether one residual is clearly less than another: as it is, or above a noise that the other does not reach."""
-    above = max(one**2 - noise**2, 0.0) < HALF * (other**2 - noise**2)
-    return AS_GOOD * one < other or (other > REACHED * noise and above)
+    return AS_GOOD * one < other or _less_above(one, other, noise)
 
 
-def _simple(effect: Effect, machine: Machine) -> bool:
-    """Whether an effect has one number, as an edit has."""
-    return len(effect.coefficients(machine)) == 1 and not effect.nonlinear(machine)
+def _less_above(one: float, other: float, noise: float) -> bool:
+    """Whether one residual is clearly less than another above a noise that the other does not reach."""
+    return other > REACHED * noise and max(one**2 - noise**2, 0.0) < HALF * (other**2 - noise**2)
+
+
+def _simple(judged: Judgement) -> list[Effect]:
+    """Effects of the catalogue that have one number, as an edit has."""
+    machine = judged.model.machine
+    effects = [c.effect for c in library(judged.readings)[0]]
+    return [e for e in effects if len(e.coefficients(machine)) == 1 and not e.nonlinear(machine)]
 
 
 def _error_of_fit(model: Model, unit: str, measurements: Sequence[Measurement]) -> float | None:

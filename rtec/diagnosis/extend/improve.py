@@ -311,8 +311,12 @@ class _Growth:
         declined = False
         self._size_of(model)
         while len(steps) < MOST:
-            worth = bool(steps) and not declined and not _at_floor(steps[-1])
+            worth = known is None and bool(steps) and not declined and not _at_floor(steps[-1])
             further = self._further(model) if worth else None
+            if further is not None and not ask:
+                found = self.diagnosed(model)
+                if self._predicts_better(model, found, further):
+                    further, known = None, found
             if further is not None and ask_made is not None:
                 declined = not ask_made(further)
             if further is not None and not declined:
@@ -369,6 +373,13 @@ class _Growth:
             if sound and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
                 return replace(added, notes=(FURTHER, *added.notes))
         return None
+
+    def _predicts_better(self, model: Model, found: Diagnosis, further: Added) -> bool:
+        """Whether what a diagnosis names predicts held-out runs better than a further temperature."""
+        if found.verdict not in ("missing_effect", "ambiguous") or not _proposes(found):
+            return False
+        added = self._first_gain(model, found, [found.findings[0]])
+        return added is not None and added.after.held_out < further.after.held_out
 
     def holding(self, model: Model, found: Diagnosis) -> Diagnosis | None:
         """The same, the candidate first beside which the model's own numbers hold, though they look out of date.
