@@ -7,7 +7,7 @@ contradiction.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -78,6 +78,10 @@ AS_GOOD = 1.1
 REACHED, HALF = 1.05, 0.5
 """An edit reaches the noise within this factor; where it does not, an effect that leaves this share above it, in
 squares, is clearly better."""
+ALIKE = 1.5
+"""Temperatures by another clock are asked about where an effect leaves more than this many times what they leave."""
+GROWS = "something that grows shifts the readings as much"
+SENSORS_FOLLOW = "the sensors follow their parts as late"
 FAR_LESS = 0.75
 """Or, with the model's own numbers refitted, below this share of what the edit leaves."""
 THIN = 200
@@ -249,11 +253,18 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
     few = judged.readings.without(~looked_at(judged.readings))
     usual = _error_of_fit(judged.model, judged.unit, judged.readings.measurements)
     met = usual is not None and usual < NEAR_FLOOR * judged.noise_floor
-    edits = _Edits(judged.model, few, judged.scale, met)
+    edits = _Edits(judged.model, few, judged.scale)
     found = min(edits.possible(), key=lambda e: e.residual, default=None)
     if found is None:
         return None
     near = NEAR_FLOOR * _whole_noise(judged)
+    if found.kind == "late_temperatures" and not met:
+        if any(m.fingerprint in judged.model.measurements.values() for m in judged.readings.measurements):
+            return None
+        if found.residual > min(BETTER * judged.residual, NEAR_FLOOR * judged.noise_floor):
+            return None
+        if _delay_does(judged, found):
+            return replace(found, unless=SENSORS_FOLLOW) if "earlier" in found.edit else None
     if found.kind == "wrong_channel":
         # A refit of the numbers compensates a factor.
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
@@ -308,6 +319,26 @@ def _two_leave_less(judged: Judgement, found: "_Edit") -> bool:
     return any(_less_above(left, found.residual, noise) for left in beside)
 
 
+def _delay_does(judged: Judgement, found: "_Edit") -> bool:
+    """Whether an effect of a temperature leaves about as little as temperatures by another clock.
+
+    A delay that the model lacks moves the temperatures as well. One between two delays of the grid is nearly a sum of
+    both.
+    """
+    readings, machine = judged.readings, judged.model.machine
+    own, sensors = floor.cleaned(readings, judged.base.columns), set(machine.sensor_names)
+    for effect in (c.effect for c in library(readings)[0]):
+        delays = effect.nonlinear(machine)
+        if not sensors & set(effect.channels(machine)) or len(delays) > 1:
+            continue
+        thetas = [{p.name: v} for p in delays for v in p.grid] or [{}]
+        columns = [floor.cleaned(readings, readings.columns(effect, t)) for t in thetas]
+        beside = [np.hstack([own, *pair]) for pair in itertools.pairwise(columns)] or [np.hstack([own, *columns])]
+        if any(_left_by(judged, b) < ALIKE * found.residual for b in beside):
+            return True
+    return False
+
+
 def _left_by(judged: Judgement, columns: Floats) -> float:
     """Residual with columns fitted to it."""
     return judged.pooled(judged.left - columns @ solve(columns, judged.left))
@@ -360,30 +391,34 @@ Replaced = dict[str, Callable[[State], Floats]]
 
 @dataclass(frozen=True)
 class _Edit:
-    """An edit of the recorded channels, and the residual of the model with it."""
+    """An edit of the recorded channels, and the residual of the model with it; and what else may do the same."""
 
     residual: float
     kind: Kind
     edit: str
     suspect: str
     check: str
-    fatal: bool = True
+    unless: str = ""
+
+    @property
+    def fatal(self) -> bool:
+        """Whether nothing else does the same."""
+        return not self.unless
 
     def doubt(self, before: float, unit: str) -> Doubt:
         """The doubt in words; `before` is the residual without the edit."""
         here, there = sizes(self.residual, before)
         message = f"with {self.edit} the model leaves {here} instead of {there} {unit}: {self.suspect}."
         if not self.fatal:
-            message = f"{message[:-1]}, unless something that grows shifts the readings as much."
+            message = f"{message[:-1]}, unless {self.unless}."
         return Doubt(self.kind, message, f"Check {self.check} before a new effect is blamed.", fatal=self.fatal)
 
 
 class _Edits:
     """Edits that only a file can need: a channel in another unit, two labels exchanged, an axis homed elsewhere."""
 
-    def __init__(self, model: Model, readings: Readings, scale: Floats, met: bool = False) -> None:
-        """Edits of readings; `met`: the model was fitted to others, and left no more than noise of them."""
-        self.model, self.readings, self.scale, self.met = model, readings, scale, met
+    def __init__(self, model: Model, readings: Readings, scale: Floats) -> None:
+        self.model, self.readings, self.scale = model, readings, scale
         machine = model.machine
         self.read = {c for f in model.effects for c in f.effect.channels(machine)}
         self.parts = [self._part(f, readings) for f in model.effects]
@@ -503,7 +538,7 @@ class _Edits:
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
             found = left(by)
             apart = self._shifted(axis) > AS_GOOD * found
-            yield _Edit(found, "moved_origin", edit, suspect, f"the origin of {axis.name}", fatal=apart)
+            yield _Edit(found, "moved_origin", edit, suspect, f"the origin of {axis.name}", "" if apart else GROWS)
 
     def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float:
         """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all."""
@@ -552,8 +587,6 @@ class _Edits:
         """Temperatures by another clock than the readings; where their record has ended, readings are left out."""
         from scipy.optimize import minimize_scalar
 
-        if not self.met:
-            return  # a delay that the model lacks moves the temperatures as well
         names = sorted(self.read & set(self.model.machine.sensor_names))
         span = max((float(np.ptp(s.time_s)) for s in self.readings.states if len(s)), default=0.0)
         if not names or span <= 0.0:

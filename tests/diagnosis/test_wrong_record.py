@@ -112,6 +112,33 @@ def test_a_delay_that_the_model_lacks_on_the_readings_of_its_fit_is_no_clock() -
     assert not diagnose(poor, [m], draws=50).doubts
 
 
+def test_a_model_by_hand_is_asked_about_the_clock_as_well() -> None:
+    by_hand = Model(small_machine(), effects(*KNOWN), name="by hand")
+    early = late(day(KNOWN, 12), -1200.0)
+    d = diagnose(by_hand, [early], draws=50)
+    assert [x.kind for x in d.doubts if x.fatal] == ["late_temperatures"]
+    assert "with all temperatures moved 20 min later the model leaves" in d.sentence
+    assert not improve(by_hand, [early], draws=50).steps
+
+
+def test_a_part_before_its_sensor_may_be_the_clock() -> None:
+    """In a smooth warm-up a sensor that follows its part and a clock that is late look the same."""
+    by_hand = Model(small_machine(), effects(*KNOWN), name="by hand")
+    d = diagnose(by_hand, [late(day(KNOWN, 12), 1500.0)], draws=50)
+    assert [(x.kind, x.fatal) for x in d.doubts] == [("late_temperatures", False)]
+    assert "unless the sensors follow their parts as late" in d.doubts[0].message
+    assert d.findings[0].effect.effect == "axis_expansion"
+
+
+@pytest.mark.parametrize("tau_s", [400, 1500, 4000])
+def test_a_delay_that_a_model_by_hand_lacks_is_no_clock(tau_s: float) -> None:
+    by_hand = Model(small_machine(), effects(*KNOWN), name="by hand")
+    m = day([*KNOWN[:3], f"{HEAT},lag=true,tau={tau_s}"], 42)
+    d = diagnose(by_hand, [m], draws=50)
+    assert "late_temperatures" not in [x.kind for x in d.doubts]
+    assert d.findings[0].effect.effect == "axis_expansion"
+
+
 @pytest.mark.parametrize("seed", [61, 65])
 def test_numbers_do_not_follow_an_instrument_that_warms_up(seed: int) -> None:
     """Oracle: 1.2 µm (1 - exp(-t/1 h)) was taken from the readings; the machine is as it was."""
