@@ -27,7 +27,7 @@ from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series, looked_at
 from rtec.estimation.wrong_scale import odd_scales
-from rtec.machine import Axis, Machine
+from rtec.machine import Axis
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.history import steps_of

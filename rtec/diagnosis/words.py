@@ -159,10 +159,11 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         return text + _within(d) + _by_heat(d)
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
+    slow = drifts(d)
     if d.out_of_date:
         return (
             f"no effect is missing, but the model's numbers are out of date: {levels}; refitted to these readings the "
-            f"residual is {number(d.refit)} {unit} (`rtec improve` refits them)"
+            f"residual is {number(d.refit)} {unit} (`rtec improve` refits them){slow}"
         )
     limit = ""
     if math.isfinite(smallest):
@@ -173,9 +174,14 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             if little
             else f" (half of those tested {size})"
         )
-    drift = d.judged.drift if d.judged is not None and d.rms_residual > ABOVE * d.noise_floor else 0.0
-    slow = f"; {number(drift)} {unit} is slow drift that no recorded channel explains" if drift > d.noise_floor else ""
     return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
+
+
+def drifts(d: Diagnosis) -> str:
+    """Where the residual is far above the noise: how much of it is slow drift, as the end of a sentence."""
+    if d.judged is None or d.rms_residual <= ABOVE * d.noise_floor or d.judged.drift <= d.noise_floor:
+        return ""
+    return f"; {number(d.judged.drift)} {ERROR_UNITS[d.unit]} is slow drift that no recorded channel explains"
 
 
 FEW = 2

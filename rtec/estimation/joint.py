@@ -33,6 +33,8 @@ LOOSE = 30.0
 """Standard errors that a number may move freely where the same readings are fitted again."""
 LOOSENESS = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 100.0, 300.0, 1e3, 1e4, 1e5)
 """The values to choose from where the readings are new."""
+CHANGED = 6.0
+"""Numbers have changed where twice the logarithm of the evidence rises by this: the odds are 20 to 1."""
 NEW = 1e6
 """Standard deviation of the prior of a number without an earlier fit, over its usual size."""
 ROUNDS = 2
@@ -172,7 +174,11 @@ def _weighed(
     thetas = [dict(f.theta) for f in effects]
     columns = work.columns(thetas)
     whitener = find_noise(readings, columns, least=least)
-    loose = _likeliest(effects, readings, whitener, columns) if loose is None else loose
+    if loose is None:
+        # Noise of a sensor pulls quick changes, slow drift pulls slow ones; a number that has changed changes both.
+        by_all, _ = plain_fit(readings, whitener, columns)
+        unchanged = _likeliest(effects, readings, by_all, columns) == 1.0
+        loose = 1.0 if unchanged else _likeliest(effects, readings, whitener, columns)
     for _ in range(ROUNDS if free else 1):
         if free:
             thetas = _polish(work, whitener, thetas, free)
@@ -257,8 +263,10 @@ def _prior(effects: Sequence[FittedEffect], readings: Readings, loose: float) ->
     return np.array([*centre, *[0.0] * count]), np.array([*spread, *[np.inf] * count])
 
 
-def _likeliest(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> float:
-    """The looseness with the largest evidence: the numbers may have changed, or not.
+def _likeliest(
+    effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener | Plain, columns: Floats
+) -> float:
+    """The looseness with the largest evidence: the numbers have changed; or one, where that is not clearly likelier.
 
     Numbers without an earlier fit and the terms of the set-up may have any size: the readings less these are compared.
     """
@@ -277,7 +285,8 @@ def _likeliest(effects: Sequence[FittedEffect], readings: Readings, whitener: Wh
     def evidence(loose: float) -> float:
         return float(np.sum((loose * seen) ** 2 / (1.0 + loose**2 * value) - np.log1p(loose**2 * value)))
 
-    return max(LOOSENESS, key=evidence)
+    likeliest = max(LOOSENESS, key=evidence)
+    return likeliest if evidence(likeliest) - evidence(1.0) > CHANGED else 1.0
 
 
 def _values(

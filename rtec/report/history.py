@@ -11,7 +11,7 @@ from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import NEAREST, Improved
 from rtec.diagnosis.extend.record_event import words
-from rtec.diagnosis.words import sentence, spoken
+from rtec.diagnosis.words import drifts, sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
 from rtec.report.figures import OFF, ON, as_png, stacked
@@ -169,6 +169,8 @@ def _why_ended(r: Improved) -> str:
         return f"these readings determine only what {' and '.join(r.cancelling)} make together"
     if r.reason == "unknown_effect" and r.steps:
         return "what is still missing is not in the catalogue"
+    if r.reason == "nothing_missing" and r.steps:
+        return WHY_ENDED[r.reason] + drifts(r.diagnoses[-1])
     return WHY_ENDED[r.reason]
 
 

@@ -1,6 +1,7 @@
 """Adding effects and refitting; oracles: least squares written down here, and the true effects of a simulation."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -343,3 +344,13 @@ def test_numbers_that_a_drift_hides_are_refitted_with_what_is_new(seed: int, eff
     table = history_page(History(done.model), figures=False).sections[0].table
     assert table is not None
     assert table.rows[-1][3].endswith(" % beyond drift") is hidden_by_drift
+
+
+def test_an_improvement_that_ends_says_what_slow_drift_remains() -> None:
+    """Oracle: the drift that is simulated; play is hidden beside it."""
+    record = laser(
+        ["backlash,component=EXX,axis=X,B=8"], 5, noise={"white_um": 0.3, "drift_um": 1.0, "drift_tau_s": 2400.0}
+    )
+    done = improve(Model(small_machine(), name="empty"), [record], draws=50)
+    assert [s.labels for s in done.steps] == [("backlash(EXX, X)",)]
+    assert re.search(r"ended because no effect .*; [01]\.\d+ µm is slow drift", improved_page(done, figures=False).lead)

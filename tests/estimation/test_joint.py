@@ -76,3 +76,32 @@ def test_a_number_that_changed_by_many_standard_errors_is_refitted(seed: int, ch
     assert np.all(np.abs(numbers(fit.effects) - (8.0 - changed, 2.0, 6.0)) < 4.0 * errors)
     again = joint_fit(fit.effects, readings, loose=None)
     assert np.all(np.abs(numbers(again.effects) - numbers(fit.effects)) < errors)
+
+
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_a_number_that_has_not_changed_loses_no_certainty(seed: int) -> None:
+    """Two spots of fine steps in half a kelvin, with a noisy sensor and slow drift: too short to tell of a change."""
+    rng, known = np.random.default_rng(seed), 20.0
+    spots = np.concatenate([spot + 0.002 * np.arange(27) for spot in (20.0, 190.0)])
+    x = np.tile(np.concatenate([spots, spots[::-1]]), 4)
+    time_s = np.arange(len(x)) + 120.0 * (np.arange(len(x)) // 27)
+    degc = 20.3 + 0.6 * (1.0 - np.exp(-time_s / 2000.0))
+    drift, memory = np.zeros(len(x)), np.exp(-np.diff(time_s) / 250.0)
+    for i, kept in enumerate(memory, 1):
+        drift[i] = kept * drift[i - 1] + 0.15 * np.sqrt(1.0 - kept**2) * rng.normal()
+    once = laser([], seed)
+    short = replace(
+        once,
+        run=np.repeat(np.arange(1, 5), 108),
+        time_s=time_s,
+        channels={
+            "x": x,
+            "d_x": np.tile(np.repeat([1.0, -1.0], 54), 4),
+            "T_bed": degc + 0.02 * rng.normal(size=len(x)),
+        },
+        readings={"reading_um": known * 1e-3 * x * (degc - 20.0) + drift + 0.12 * rng.normal(size=len(x))},
+    )
+    scale, _, expansion = model(0.0, 0.0, known)
+    fit = joint_fit([scale, expansion], read([short]), loose=None)
+    assert fit.effects[1].values["k"] == pytest.approx(known, abs=ERRORS[2])
+    assert fit.effects[1].errors["k"] <= ERRORS[2]

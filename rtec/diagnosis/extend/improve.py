@@ -311,12 +311,7 @@ class _Growth:
         declined = False
         self._size_of(model)
         while len(steps) < MOST:
-            worth = known is None and bool(steps) and not declined and not _at_floor(steps[-1])
-            further = self._further(model) if worth else None
-            if further is not None and not ask:
-                found = self.diagnosed(model)
-                if self._predicts_better(model, found, further):
-                    further, known = None, found
+            further, known = self._further_first(model, steps, bool(ask), known) if not declined else (None, known)
             if further is not None and ask_made is not None:
                 declined = not ask_made(further)
             if further is not None and not declined:
@@ -373,6 +368,18 @@ class _Growth:
             if sound and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
                 return replace(added, notes=(FURTHER, *added.notes))
         return None
+
+    def _further_first(
+        self, model: Model, steps: Sequence[Added], asked: bool, known: Diagnosis | None
+    ) -> tuple[Added | None, Diagnosis | None]:
+        """A further temperature, where nothing that a diagnosis names predicts better; and the diagnosis if it does."""
+        if known is not None or not steps or _at_floor(steps[-1]):
+            return None, known
+        further = self._further(model)
+        if further is None or asked:
+            return further, None
+        found = self.diagnosed(model)
+        return (None, found) if self._predicts_better(model, found, further) else (further, None)
 
     def _predicts_better(self, model: Model, found: Diagnosis, further: Added) -> bool:
         """Whether what a diagnosis names predicts held-out runs better than a further temperature."""

@@ -18,6 +18,7 @@ from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
+from rtec.diagnosis.search.drift_alone import drift_makes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.search.refit import BESIDE, MORE, NOTHING_MUCH, Judged, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
@@ -471,7 +472,9 @@ class _Search:
         self._tops = tops
         if best is None:
             sure = top is not None and top.log_evidence > OVERWHELMING and self._many
-            return False, None, self._unknown(top) if sure and top is not None else None
+            if top is None or not sure or drift_makes(top, self.refits, self.rng):
+                return False, None, None
+            return False, None, self._unknown(top)
         share = adequacy(best.columns, tops, self.prepared.base, self.readings)
         local = self._simpler(best, tops)
         if local is not None:
