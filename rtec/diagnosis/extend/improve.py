@@ -24,7 +24,7 @@ from rtec.diagnosis.extend.add import (
     rivals_of,
 )
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
-from rtec.diagnosis.extend.temperatures import further_temperatures, hardly_varied
+from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, hardly_varied
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
@@ -366,7 +366,7 @@ class _Growth:
             fall = added.before.held_out**2 - added.after.held_out**2
             sound = _between(added) and _determined(model, added)
             if sound and fall > (VISIBLE * added.floor) ** 2 and self._gains(added):
-                return replace(added, notes=(FURTHER, *added.notes))
+                return replace(added, notes=(fixed_end(added.model) or FURTHER, *added.notes))
         return None
 
     def _further_first(

@@ -1,10 +1,11 @@
-"""Further temperatures of an effect that the model has.
+"""Further temperatures of an effect that the model has, and the fixed end of an expansion.
 
 A body without a sensor is between bodies that have one: it follows several temperatures, each with its own delay. The
 effect is already known, so a further temperature proves no cause: it must make the readings likelier and predict
 held-out runs better. Effects along an axis get one, and those of the spindle, where heat also follows its speed. Other
 shifts that are equal at all positions cannot be distinguished from a drift of the instrument: two temperatures fit any
-slow drift.
+slow drift. One by the temperature of an expansion is another: it says where the fixed end is, which is named at three
+places of the travel only.
 """
 
 import math
@@ -18,6 +19,7 @@ from rtec.diagnosis.extend.add import is_there, new_effect
 from rtec.effects import Effect
 from rtec.effects.base import AxisEffect, Surroundings
 from rtec.effects.spindle import SpindleGrowth
+from rtec.effects.thermal import AxisExpansion, MountExpansion
 from rtec.estimation.candidates import surroundings, visible
 from rtec.estimation.gls import fit_columns, held_out
 from rtec.estimation.judge import Judgement
@@ -76,6 +78,19 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
             yield new_effect(effect, judged.model, best[effect][1])
 
 
+def fixed_end(model: Model) -> str | None:
+    """Where the fixed end of an expansion is by the last effect, its shift, in words; None where that is another."""
+    *others, last = model.effects
+    shift = last.effect
+    for f in others if isinstance(shift, MountExpansion) else ():
+        grows = f.effect
+        same = isinstance(grows, AxisExpansion) and grows.component == shift.component
+        if same and (grows.sensor, grows.lag) == (shift.sensor, shift.lag):
+            end_mm = grows.fixed_mm - 1000.0 * last.values["k"] / f.values["k"]
+            return f"with it the fixed end of {f.label} is at {end_mm:.0f} mm instead of {grows.fixed_mm:.0f} mm"
+    return None
+
+
 def hardly_varied(model: Model, effect: Effect, readings: Readings) -> bool:
     """Whether an effect that the model has by other sensors follows one that varied by less than `VARIED_DEGC`."""
     sensor = getattr(effect, "sensor", None)
@@ -110,6 +125,8 @@ def _others(effect: Effect, around: Surroundings) -> Iterator[Effect]:
     if isinstance(effect, SpindleGrowth):
         yield from effect.suggest(around)
     elif isinstance(effect, AxisEffect) and getattr(effect, "sensor", None) is not None:
+        if isinstance(effect, AxisExpansion):
+            yield MountExpansion(component=effect.component, sensor=effect.sensor, lag=effect.lag)
         for sensor in around.sensors:
             for late in _delays(effect):
                 yield effect.model_copy(update={"sensor": sensor, **late})
