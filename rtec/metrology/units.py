@@ -132,9 +132,9 @@ ALIASES = {
 TORQUES = ("Nm", "kNm", "mNm", "Ncm")
 """Torques as they are written: in small letters the first is a nanometre."""
 OTHERS = frozenset({
-    "knm", "mnm", "ncm", "n*m", "n·m", "n.m", "n m", "lbf*ft", "n", "kn", "mn", "lbf", "a", "ma", "v", "mv", "w", "kw", "va",
-    "bar", "mbar", "pa", "hpa", "kpa", "mpa", "psi", "l/min", "l/h", "m3/h", "%", "%rh", "% rh", "khz", "mhz", "j", "kj",
-    "wh", "kwh", "ohm", "db", "ppm", "g/m3",
+    "knm", "mnm", "ncm", "n*m", "n·m", "n.m", "n m", "lbf*ft", "n", "kn", "mn", "lbf", "a", "ma", "v", "mv", "w",
+    "kw", "va", "bar", "mbar", "pa", "hpa", "kpa", "mpa", "psi", "l/min", "l/h", "m3/h", "%", "%rh", "% rh", "khz",
+    "mhz", "j", "kj", "wh", "kwh", "ohm", "db", "ppm", "g/m3",
 })  # fmt: skip
 """Units of what no column of a measurement holds, in small letters: torque, force, current, pressure, a share."""
 NO_UNIT = frozenset({"", "1", "-", "none", "n/a", "bool", "count", "counts", "cts", "inc", "incr", "increments",

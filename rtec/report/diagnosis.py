@@ -327,7 +327,7 @@ def _rivals(d: Diagnosis) -> list[str]:
 
 
 def _cause(effect: Effect) -> tuple[str, ...]:
-    """What tells two causes apart: the name, the component and the sensors; two forms of an effect are one cause."""
+    """What separates two causes: the name, the component and the sensors; two forms of an effect are one cause."""
     return effect.effect, effect.component, *(str(getattr(effect, k, None)) for k in ("sensor", "front", "back"))
 
 

@@ -29,11 +29,7 @@ def plan_page(a: Answer, figures: bool = True) -> Page:
     return Page(
         title="What these tests separate",
         lead=_lead(a),
-        numbers=[
-            *_pairs_separated(a),
-            (f"{s.rank} of {len(s.parameters)}", "parameters separated"),
-            (_condition(s), "condition number"),
-        ],
+        numbers=_numbers(a),
         sections=[
             Section("Tests", [", ".join(a.tests)]),
             *_troubles(s),
@@ -74,8 +70,12 @@ def _brief_of_rivals(a: Answer, words: Sequence[str]) -> Section:
     return Section("", words, replace(section.table, rows=section.table.rows[:BRIEF]))
 
 
-def _pairs_separated(a: Answer) -> list[tuple[str, str]]:
-    return [(f"{sum(p.clear for p in a.rivals)} of {len(a.rivals)}", "pairs of rivals separated")] if a.rivals else []
+def _numbers(a: Answer) -> list[tuple[str, str]]:
+    """Pairs of rivals that are separated where rivals are in question; else parameters."""
+    s = a.separation
+    if a.rivals:
+        return [(f"{sum(p.clear for p in a.rivals)} of {len(a.rivals)}", "pairs of rivals separated")]
+    return [(f"{s.rank} of {len(s.parameters)}", "parameters separated"), (_condition(s), "condition number")]
 
 
 def _minutes(hours: float) -> str:
@@ -161,7 +161,9 @@ def _sizes(s: Separation) -> Table:
         blind = "confounded" if together else "no"
         enough = blind if not math.isfinite(size) else "yes" if size < p.typical else "only if large"
         rows.append([p.name, enough, significant(size), significant(p.typical), spoken(p.unit)])
-    return Table(("parameter", "detectable", "from", "usual size", "unit"), rows, words=(0, 1, 4))
+    searched = any(part.theta for p in s.parameters for part in p.parts)
+    caption = "Periods and time constants are taken as known." if searched else ""
+    return Table(("parameter", "detectable", "from", "usual size", "unit"), rows, caption, words=(0, 1, 4))
 
 
 def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
