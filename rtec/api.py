@@ -305,9 +305,10 @@ def compare(
     """
     from rtec.diagnosis.compare.compare import compare as compare_with
 
-    known, path, _ = _model(model, machine)
+    known, path, machine_path = _model(model, machine)
     read, paths = _measurements(_listed(measurements), known.machine)
-    return _finished(compare_with(known, read, seed=seed, stage=progress, residual=residual), path, paths, report)
+    result = compare_with(known, read, seed=seed, stage=progress, residual=residual)
+    return _finished(_of_machine(result, path, machine_path), path, paths, report)
 
 
 def diagnose(
@@ -348,7 +349,7 @@ def diagnose(
     known, path, machine_path = _model(model, machine)
     read, paths = _measurements(_listed(measurements), known.machine)
     result = find(known, read, seed=seed, alpha=alpha, only=names, explain=True, stage=progress)
-    return _finished(replace(result, machine_file=machine_path), path, paths, report)
+    return _finished(_of_machine(result, path, machine_path), path, paths, report)
 
 
 def add(
@@ -732,6 +733,19 @@ def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path |
         return load(path, machine), path, None
     described = machine_file(path, None if machine is None else Path(machine))
     return load(path, load_machine(described)), path, described
+
+
+def _of_machine(result: R, model: Path | None, machine: Path | None) -> R:
+    """The result with its machine's file, and with the option that names it where the model does not lead to it."""
+    from rtec.diagnosis.machine_file import machine_file
+
+    if model is None or machine is None:
+        return replace(result, machine_file=machine)
+    try:
+        leads = machine_file(model).samefile(machine)
+    except ModelError:
+        leads = False
+    return replace(result, machine_file=machine, machine_option=() if leads else ("--machine", str(machine)))
 
 
 def _listed(items: MeasurementLike | Iterable[MeasurementLike]) -> list[MeasurementLike]:

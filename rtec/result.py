@@ -153,11 +153,13 @@ class Result(Shown):
         files: its model file (the new one where one was written) and the measurements, for commands that can be typed
             as they are; empty where one of them was in memory only.
         machine_file: the machine's file, where it is known.
+        machine_option: what commands need to find it, as they are typed; empty where the model leads to it.
         written: written files, by their keys in `to_dict`; None for one that was not written.
     """
 
     files: tuple[Path, ...] = field(default=(), repr=False, compare=False)
     machine_file: Path | None = field(default=None, repr=False, compare=False)
+    machine_option: tuple[str, ...] = field(default=(), repr=False, compare=False)
     written: Mapping[str, Path | None] = field(default_factory=dict, repr=False, compare=False)
 
     def own(self) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from rtec.characterise.assemble import assemble, model_of
 from rtec.characterise.candidates import Drive, TermCandidate, at_constant_temperature, drive, is_at_constant
 from rtec.characterise.choose import TermChoice, choose
-from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.grouping import apart, joined
 from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
@@ -17,6 +16,7 @@ from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
 from rtec.characterise.warnings import FEW_BLOCKS
 from rtec.effects import Effect
+from rtec.effects.effect_list import AskedEffects
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
 from rtec.estimation import floor

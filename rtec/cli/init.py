@@ -5,6 +5,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
+from shlex import join, quote
 from typing import Annotated, Any
 
 import typer
@@ -12,6 +13,8 @@ import typer
 from rtec.cli.common import bar, grid, interruptible
 
 ANSWERS = "answers.toml"
+STEP_UM = 20.0
+"""Step of a sign check."""
 SHOWN = 12
 """Largest number of lines of live values."""
 
@@ -97,9 +100,9 @@ def init(
         typer.echo(f"Written: {path}")
     run = next(path for path in written if path.name == "run.toml")
     if check and _ready(run):
-        typer.echo(f"Next: rtec run {run} --step X=20um")
+        typer.echo(f"Next: {_first_run(run)}")
         return
-    typer.echo(f"Next: rtec doctor {run}")
+    typer.echo(f"Next: {join(['rtec', 'doctor', str(run)])}")
     if check:
         raise typer.Exit(1)
 
@@ -121,7 +124,7 @@ def _example(folder: Path, force: bool) -> None:
     files = write_example(folder, overwrite=force)
     at = folder / FOLDER
     typer.echo(f"{counted(len(files), 'file')} in {at}: a simulated turning centre, its model, the tutorial's data.")
-    go_there = f"cd {folder} && " if folder != Path() else ""
+    go_there = f"cd {quote(str(folder))} && " if folder != Path() else ""
     for command in ("rtec run configs/turning-centre-sim.toml --duration 10", "rtec demo"):
         typer.echo(f"Next: {go_there}{command}")
 
@@ -158,8 +161,8 @@ def _adopt(controller: str, ini: Path, copy: Path | None, answers: Path | None, 
     )
     for path in written:
         typer.echo(f"Written: {path}")
-    typer.echo(f"Next: linuxcnc {folder / ini.name}")
-    typer.echo(f"Next: rtec doctor {folder / 'run.toml'}")
+    for command in (["linuxcnc", folder / ini.name], ["rtec", "doctor", folder / "run.toml"]):
+        typer.echo(f"Next: {join(map(str, command))}")
 
 
 def _print_answers(template: str) -> None:
@@ -291,6 +294,18 @@ def _write(tables: dict[str, Any], source: str, folder: Path, force: bool, *, ke
     return write_together(folder, files, overwrite=force)
 
 
+def _first_run(run: Path) -> str:
+    """The command of the first run: a sign check of the first axis that is corrected, within its limit."""
+    from rtec.loop.run_file import load_setup
+
+    setup = load_setup(run)
+    axis = next((a.name for a in setup.machine.axes if a.compensate), None)
+    if setup.file.role.actuator is None or axis is None:
+        return join(["rtec", "run", str(run)])
+    step_um = min(STEP_UM, setup.file.limits[axis].stop_um)
+    return join(["rtec", "run", str(run), "--step", f"{axis}={step_um:g}um"])
+
+
 def _ready(run: Path) -> bool:
     """Whether doctor and dry run succeed."""
     from rtec.cli.common import show_page
@@ -301,10 +316,10 @@ def _ready(run: Path) -> bool:
     from rtec.loop.run_file import load_setup
     from rtec.report.devices import doctor_page
 
-    typer.echo(f"\nrtec doctor {run} --no-pc")
+    typer.echo(f"\n{join(['rtec', 'doctor', str(run), '--no-pc'])}")
     found = examine(run, 3.0)
     show_page(doctor_page(found))
-    typer.echo(f"rtec run {run} --dry-run")
+    typer.echo(join(["rtec", "run", str(run), "--dry-run"]))
     try:
         setup = load_setup(run)
         dry = dry_run(setup)

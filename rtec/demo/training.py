@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.run import characterise, fitted_model
 from rtec.demo.hidden import Fault, with_fault
 from rtec.effects import Effect, State, effect_class
+from rtec.effects.effect_list import AskedEffects
 from rtec.machine import Machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement

@@ -97,9 +97,16 @@ ALIASES = {
     "°c": "degc",
     "c": "degc",
     "celsius": "degc",
+    "℃": "degc",
+    "ºc": "degc",  # the ordinal indicator, not the degree sign
+    "deg c": "degc",
+    "deg_c": "degc",
     "°f": "degf",
     "f": "degf",
     "fahrenheit": "degf",
+    "℉": "degf",
+    "deg f": "degf",
+    "deg_f": "degf",
     "kelvin": "k",
     "µs": "us",
     "μs": "us",
@@ -109,11 +116,30 @@ ALIASES = {
     "hours": "h",
     "days": "d",
     "1/min": "rpm",
+    "u/min": "rpm",
+    "r/min": "rpm",
+    "rev/min": "rpm",
+    "min-1": "rpm",
+    "min^-1": "rpm",
     "hz": "1/s",
     "mm/s²": "mm/s2",
+    "mm/s^2": "mm/s2",
     "m/s²": "m/s2",
+    "m/s^2": "m/s2",
     "": "1",
 }
+
+TORQUES = ("Nm", "kNm", "mNm", "Ncm")
+"""Torques as they are written: in small letters the first is a nanometre."""
+OTHERS = frozenset({
+    "knm", "mnm", "ncm", "n*m", "n·m", "n.m", "n m", "lbf*ft", "n", "kn", "mn", "lbf", "a", "ma", "v", "mv", "w",
+    "kw", "va", "bar", "mbar", "pa", "hpa", "kpa", "mpa", "psi", "l/min", "l/h", "m3/h", "%", "%rh", "% rh", "khz",
+    "mhz", "j", "kj", "wh", "kwh", "ohm", "db", "ppm", "g/m3",
+})  # fmt: skip
+"""Units of what no column of a measurement holds, in small letters: torque, force, current, pressure, a share."""
+NO_UNIT = frozenset({"", "1", "-", "none", "n/a", "bool", "count", "counts", "cts", "inc", "incr", "increments",
+                     "digit", "digits", "raw", "state"})  # fmt: skip
+"""Words for a number without a unit, or whose unit only the user knows."""
 
 # The longest suffix that fits is the unit of a column.
 SUFFIXES = {
@@ -138,10 +164,24 @@ def canonical(name: str) -> str:
         ValueError: there is no such unit; the message has the nearest one.
     """
     word = name.strip().lower()
+    if name.strip() in TORQUES:
+        raise ValueError(f"unit {name!r} is a torque, which no column of a measurement holds")
     word = ALIASES.get(word, word)
     if word not in UNITS:
         raise ValueError(f"unit {name!r} is not known{nearest(word, UNITS)}")
     return word
+
+
+def logged(name: str) -> str:
+    """The unit that a log gives to a channel: its name in `UNITS`; "1" for one of `OTHERS`; empty for no unit.
+
+    Raises:
+        ValueError: as `canonical`.
+    """
+    word = name.strip().lower()
+    if word in NO_UNIT:
+        return ""
+    return "1" if name.strip() in TORQUES or word in OTHERS else canonical(name)
 
 
 def unit_of_column(column: str) -> str:

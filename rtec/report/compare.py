@@ -79,7 +79,7 @@ def _next(c: Comparison) -> list[str]:
     """A diagnosis, unless the model is at the noise floor."""
     if not c.files or all(i.left.rms <= AT_FLOOR * i.floor for i in c.items):
         return []
-    return [shell_command("rtec", "diagnose", *c.files)]
+    return [shell_command("rtec", "diagnose", *c.files, *c.machine_option)]
 
 
 def _lead(c: Comparison) -> str:

@@ -1,11 +1,9 @@
 """Report of a diagnosis; its figures are the evidence of a finding, and the candidates beside each other."""
 
-import json
 import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from shlex import quote
 from textwrap import fill
 from typing import TYPE_CHECKING
 
@@ -15,6 +13,7 @@ from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Pic
 from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, sentence
 from rtec.effects import Effect
+from rtec.effects.effect_list import as_options, as_text
 from rtec.report.evidence import Amplitudes, Evidence, evidence
 from rtec.report.figures import GREY, OFF, ON, WHOLE, Zoom, as_png, canvas, room_above, stacked, zoomed
 from rtec.report.page import Figure, Page, Section, Table, shell_command
@@ -32,6 +31,8 @@ ROW_IN = 5.2
 LOOKS = {0: ("o", "-"), 1: ("^", "-"), -1: ("v", "--")}
 WAYS = {0: "", 1: ", moving +", -1: ", moving −"}
 """Marker, line and name of both directions together, and of each."""
+LEAST_NOISE = 1e-4
+"""Least noise that `rtec plan` takes, µm or µrad."""
 NO_BETTER = 0.005
 """Smallest relative fall of the mean square that is shown."""
 LONG = 24
@@ -284,34 +285,55 @@ def _next(d: Diagnosis) -> list[str]:
     if not d.files:
         return []
     model, *data = d.files
-    better = f"{model.with_suffix('')}-more.toml"
+    last = ("-o", f"{model.with_suffix('')}-more.toml", *d.machine_option)
     sure = d.verdict == "missing_effect"
     if d.verdict == "ambiguous" and d.findings[0].confused_with and len(d.together) < 2:
-        first = d.findings[0]
-        names = [(first.effect.effect, first.effect.component)]
-        names += [(a.effect, a.component) for a in first.confused_with if not a.apart]
-        rivals = [":".join(name) for name in dict.fromkeys(names)]
-        if len(rivals) > 1:
+        rivals = _rivals(d) if d.machine_file is not None else []
+        if rivals:
+            noise = [] if d.unit == "noise" else ["--noise", f"{float(f'{max(d.noise_floor, LEAST_NOISE):.2g}'):g}"]
             chosen = ",".join(rivals[:BRIEF])
-            return [shell_command("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", chosen)]
+            return [shell_command("rtec", "plan", d.machine_file, *data, "--rivals", chosen, *noise)]
+        first = d.findings[0]
+        names = {(a.effect, a.component) for a in first.confused_with if not a.apart}
+        if names - {(first.effect.effect, first.effect.component)}:
+            return []  # of a rival that is not in the catalogue: the sentence says what to do
         sure = not d.together  # together: forms of one effect, which is missing in any case
     # `rtec add` searches a period or a delay again; `rtec improve` begins with the one that was found.
     if sure and d.findings[0].partner is None and len(d.together) < 2 and not d.findings[0].theta:
-        return [shell_command("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
+        return [shell_command("rtec", "add", model, *as_options(d.findings[0].effect), "--data", *data, *last)]
     if d.verdict == "unknown_effect":
         return [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
     if d.verdict == "undecided" or (d.verdict == "nothing_missing" and not d.out_of_date):
         return []
-    return [shell_command("rtec", "improve", *d.files, "-o", better)]
+    return [shell_command("rtec", "improve", *d.files, *last)]
 
 
-def as_typed(effect: Effect) -> list[str]:
-    """An effect as arguments of `rtec add`."""
-    given = effect.model_dump(mode="json", exclude={"effect", "component"}, exclude_none=True, exclude_defaults=True)
-    if given.get("axis") == effect.component[2:].removeprefix("0"):
-        del given["axis"]
-    settings = [f"{k}={v if isinstance(v, str) else json.dumps(v)}" for k, v in given.items()]
-    return [effect.effect, "--component", effect.component, *(word for text in settings for word in ("--set", text))]
+def _rivals(d: Diagnosis) -> list[str]:
+    """Rank 1 and what it is confounded with, as `rtec plan --rivals` reads them: each cause with its numbers.
+
+    None where all have one name: that effect is missing in any case.
+
+    A rival that is no candidate of the catalogue is not among them: no text describes it.
+    """
+    first = d.findings[0]
+    out = {_cause(first.effect): as_text(first.effect, _numbers(first))}
+    for a in first.confused_with:
+        if a.apart or a.fitted is None:
+            continue
+        its = next((f for f in d.findings if f.effect == a.fitted.effect), None)
+        numbers = dict(a.fitted.theta) if its is None else _numbers(its)
+        out.setdefault(_cause(a.fitted.effect), as_text(a.fitted.effect, numbers))
+    return list(out.values()) if len({cause[:2] for cause in out}) > 1 else []
+
+
+def _cause(effect: Effect) -> tuple[str, ...]:
+    """What separates two causes: the name, the component and the sensors; two forms of an effect are one cause."""
+    return effect.effect, effect.component, *(str(getattr(effect, k, None)) for k in ("sensor", "front", "back"))
+
+
+def _numbers(f: Finding) -> dict[str, float]:
+    """Coefficients, to three digits, and non-linear parameters of a candidate."""
+    return {k: float(f"{n.value:.3g}") for k, n in f.parameters.items()} | dict(f.theta)
 
 
 def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
@@ -352,12 +374,11 @@ def _to_type(d: Diagnosis) -> list[Section]:
         return []
     u = d.unknown
     model, *data = d.files or (Path("MODEL"), Path("MEASUREMENT"))
-    given = ["rtec", "add", str(model), "--expr", u.expression]
-    given += [word for p in u.parameters for word in ("--param", p)]
-    given += ["--component", u.feeds, "--data", *map(str, data), "-o", f"{model.with_suffix('')}-more.toml"]
+    given = ["rtec", "add", model, "--expr", u.expression, *(word for p in u.parameters for word in ("--param", p))]
+    given += ["--component", u.feeds, "--data", *data, "-o", f"{model.with_suffix('')}-more.toml", *d.machine_option]
     words = [
         "The nearest simple expression; `rtec add` refuses it if the error on held-out runs does not fall:",
-        " ".join(map(quote, given)),
+        shell_command(*given),
         "It describes the shape of the error, not its cause.",
     ]
     return [Section("To add it without a name", words)]

@@ -1,6 +1,7 @@
 """Reports of changes of a model, by `rtec add`, `rtec improve` and `rtec history`: the error before and after each."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -166,6 +167,8 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
 def _why_ended(r: Improved) -> str:
     """Why the improvement ended, in words."""
     if r.reason == "no_gain" and r.cancelling:
+        if len(r.cancelling) == 1:
+            return f"these readings do not determine {r.cancelling[0]} beside the other effects of the model"
         return f"these readings determine only what {' and '.join(r.cancelling)} make together"
     if r.reason == "unknown_effect" and r.steps:
         return "what is still missing is not in the catalogue"
@@ -364,4 +367,14 @@ def _broken(name: str) -> str:
     if len(head) > LONG and "_" in head:
         at = head.rindex("_") + 1
         head = f"{head[:at]}\n{head[at:]}"
-    return f"{head}\n{mark}{rest}" if mark else name.replace(", ", ",\n", 1)
+    return f"{head}\n{_in_lines(mark + rest)}" if mark else name.replace(", ", ",\n", 1)
+
+
+def _in_lines(text: str) -> str:
+    """A text with line breaks after commas, where a line would be longer than `LONG`."""
+    lines = [""]
+    for word in re.split(r"(?<=, )", text):
+        if lines[-1] and len(f"{lines[-1]}{word}".rstrip()) > LONG:
+            lines.append("")
+        lines[-1] += word
+    return "\n".join(line.rstrip() for line in lines)

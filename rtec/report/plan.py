@@ -29,7 +29,7 @@ def plan_page(a: Answer, figures: bool = True) -> Page:
     return Page(
         title="What these tests separate",
         lead=_lead(a),
-        numbers=[(f"{s.rank} of {len(s.parameters)}", "parameters separated"), (_condition(s), "condition number")],
+        numbers=_numbers(a),
         sections=[
             Section("Tests", [", ".join(a.tests)]),
             *_troubles(s),
@@ -50,6 +50,8 @@ def plan_page(a: Answer, figures: bool = True) -> Page:
 def _brief(a: Answer) -> Section:
     """Confounded parameters and the tests to add; detectable sizes where no test is proposed."""
     words = [word for section in (*_troubles(a.separation), *_hopeless(a)) for word in section.text]
+    if a.rivals:
+        return _brief_of_rivals(a, words)
     if a.proposals:
         n = len(a.separation.parameters)
         rows = [[p.test.name, _minutes(p.test.hours), f"{p.after.rank} of {n}"] for p in a.proposals[:BRIEF]]
@@ -58,6 +60,22 @@ def _brief(a: Answer) -> Section:
         if section.table:
             return Section("", words, replace(section.table, rows=section.table.rows[:BRIEF]))
     return Section("", words, _sizes(a.separation))
+
+
+def _brief_of_rivals(a: Answer, words: Sequence[str]) -> Section:
+    """Tests that separate the rivals in question; if there is none, the words of why."""
+    (section,) = separator_sections(a.separators) or [Section("", [])]
+    if section.table is None:
+        return Section("", [*words, *section.text])
+    return Section("", words, replace(section.table, rows=section.table.rows[:BRIEF]))
+
+
+def _numbers(a: Answer) -> list[tuple[str, str]]:
+    """Pairs of rivals that are separated where rivals are in question; else parameters."""
+    s = a.separation
+    if a.rivals:
+        return [(f"{sum(p.clear for p in a.rivals)} of {len(a.rivals)}", "pairs of rivals separated")]
+    return [(f"{s.rank} of {len(s.parameters)}", "parameters separated"), (_condition(s), "condition number")]
 
 
 def _minutes(hours: float) -> str:
@@ -69,6 +87,8 @@ def _condition(s: Separation) -> str:
 
 
 def _lead(a: Answer) -> str:
+    if a.rivals:
+        return _lead_of_rivals(a)
     s, n = a.separation, len(a.separation.parameters)
     if s.complete:
         weak = f", but only weakly (condition number {s.condition:.0f})" if s.condition > WEAK else ""
@@ -80,6 +100,31 @@ def _lead(a: Answer) -> str:
     after = a.route[-1].after.rank
     which = f"all {n}" if after == n else f"{after} of {n}"
     return f"{verdict} Add: {', then '.join([first, *more])}; then {which} are separated."
+
+
+def _lead_of_rivals(a: Answer) -> str:
+    """Whether the tests separate the rivals in question, and the first test to add."""
+    alike = [p for p in a.rivals if not p.clear]
+    if not alike:
+        return f"These tests separate the rivals: {_odds(a.rivals)} or better for the true one of each two."
+    worst = min(alike, key=lambda p: p.gain)
+    verdict = f"These tests do not separate {worst.one} from {worst.other}: expected odds {_odds([worst])}."
+    if len(a.rivals) > 1:
+        verdict = f"These tests separate {len(a.rivals) - len(alike)} of {len(a.rivals)} pairs of rivals. " + (
+            f"They do not separate {worst.one} from {worst.other}: expected odds {_odds([worst])}."
+        )
+    before = len(a.rivals) - len(alike)
+    best = next((s for s in a.separators if s.clear > before), None)
+    if best is None:
+        return f"{verdict} No single test on this machine does." if a.separators else verdict
+    all_of = "they are" if len(a.rivals) == 1 else f"{best.clear} of {len(a.rivals)} pairs are"
+    return f"{verdict} Add: {best.test.name} ({hours_in_words(best.test.hours)}); then {all_of} separated."
+
+
+def _odds(pairs: Sequence[Pair]) -> str:
+    """Expected odds of the worst pair."""
+    gain = min(p.gain for p in pairs)
+    return "> 1000 to 1" if gain > math.log(1000.0) else f"{significant(math.exp(gain))} to 1"
 
 
 def _troubles(s: Separation) -> list[Section]:
@@ -116,7 +161,9 @@ def _sizes(s: Separation) -> Table:
         blind = "confounded" if together else "no"
         enough = blind if not math.isfinite(size) else "yes" if size < p.typical else "only if large"
         rows.append([p.name, enough, significant(size), significant(p.typical), spoken(p.unit)])
-    return Table(("parameter", "detectable", "from", "usual size", "unit"), rows, words=(0, 1, 4))
+    searched = any(part.theta for p in s.parameters for part in p.parts)
+    caption = "Periods and time constants are taken as known." if searched else ""
+    return Table(("parameter", "detectable", "from", "usual size", "unit"), rows, caption, words=(0, 1, 4))
 
 
 def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
@@ -144,8 +191,8 @@ def separator_sections(separators: Sequence[Separator]) -> list[Section]:
     rows = [[s.test.name, _minutes(s.test.hours), f"{s.clear} of {len(s.pairs)}", _worst(s.pairs)] for s in helpful]
     names = dict.fromkeys(n for p in separators[0].pairs for n in (p.one, p.other))
     text = [
-        f"Rivals: {', '.join(names)}. Each is taken as true at its usual size, and the others are fitted to its "
-        "readings in all tests together. Separated means odds of 20 to 1 or better."
+        f"Rivals: {', '.join(names)}. Each is taken as true at its usual size, or that given, and the others are "
+        "fitted to its readings in all tests together. Separated means odds of 20 to 1 or better."
     ]
     if not any(s.clear for s in separators):
         text.append(NO_TEST)
@@ -180,6 +227,5 @@ def _key(value: object) -> str:
 
 
 def _worst(pairs: Sequence[Pair]) -> str:
-    worst = min(pairs, key=lambda p: p.gain)
-    odds = "> 1000 to 1" if worst.gain > math.log(1000.0) else f"{significant(math.exp(worst.gain))} to 1"
+    worst, odds = min(pairs, key=lambda p: p.gain), _odds(pairs)
     return odds if len(pairs) == 1 else f"{odds} ({worst.one} or {worst.other})"

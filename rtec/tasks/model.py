@@ -338,9 +338,9 @@ class EffectRequest:
     @classmethod
     def of(cls, finding: "Finding") -> "EffectRequest":
         """The arguments that add a candidate of a diagnosis."""
-        from rtec.report.diagnosis import as_typed
+        from rtec.effects.effect_list import as_options
 
-        name, _, component, *rest = as_typed(finding.effect)
+        name, _, component, *rest = as_options(finding.effect)
         return cls(name, component, tuple(rest[1::2]))
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtec.characterise import Characterisation, characterise
-from rtec.characterise.effect_list import read_wanted
+from rtec.effects.effect_list import read_wanted
 from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.readings import read
 from rtec.metrology.instruments.registry import make_instrument

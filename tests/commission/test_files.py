@@ -72,6 +72,10 @@ def test_the_example_is_what_is_shipped(tmp_path: Path) -> None:
 
 
 def test_init_example_says_what_to_type_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blank = tmp_path / "my machine"
+    blank.mkdir()
+    assert status(["init", "--example", str(blank)]) == 0
+    assert f"Next: cd '{blank}' && rtec run configs/turning-centre-sim.toml" in capsys.readouterr().out
     assert status(["init", "--example", str(tmp_path)]) == 0
     assert f"Next: cd {tmp_path} && rtec run configs/turning-centre-sim.toml" in capsys.readouterr().out
     (tmp_path / "configs" / "hil.toml").write_text("mine")

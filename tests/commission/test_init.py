@@ -6,6 +6,7 @@ Oracles: what the simulated devices print, hold and take; the exact product of t
 import io
 import json
 import re
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -95,10 +96,12 @@ def test_from_an_answers_file_to_a_lathe_that_is_corrected(
 
     Z: 12 µm/(m·°C) at 250 mm, 21.9 °C (the register of T_z_nut) above 20 °C: 5.7 µm.
     """
-    folder = tmp_path / "lathe"
+    folder = tmp_path / "the lathe"
     options = ["--answers", str(answers_file(tmp_path, devices)), "--set", "name=L 3", "--set", 'mode="on"']
     assert status(["init", str(folder), *options]) == 0
     out = capsys.readouterr().out
+    (command,) = [line.removeprefix("Next: ") for line in out.splitlines() if line.startswith("Next: ")]
+    assert shlex.split(command) == ["rtec", "run", str(folder / "run.toml"), "--step", "X=20um"]
     assert "ready to run" in out
     assert "dry run, nothing was commanded" in out
     assert {p.name for p in folder.iterdir()} == {"machine.toml", "run.toml", "model.toml"}

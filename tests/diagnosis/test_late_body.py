@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from rtec.characterise import fitted_model
 from rtec.characterise.candidates import thermal
-from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis import doubts
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search import diagnose as search
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.effects.effect_list import read_wanted
 from rtec.estimation.candidates import library
 from rtec.estimation.gram.source import Source
 from rtec.estimation.judge import Judgement

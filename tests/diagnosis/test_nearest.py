@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import fitted_model
-from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis.extend.improve import improve
+from rtec.effects.effect_list import read_wanted
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.machine import machine_from

@@ -5,8 +5,8 @@ from functools import cache
 import pytest
 
 from rtec.characterise import characterise, fitted_model
-from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.effects.effect_list import read_wanted
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support.diagnosis_examples import NOISE_UM, laser

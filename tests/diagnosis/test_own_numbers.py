@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from rtec.characterise import fitted_model
-from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis.extend.improve import Improved, ProposedStep, improve
 from rtec.diagnosis.result import Finding
+from rtec.effects.effect_list import read_wanted
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.machine import machine_from

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import characterise
-from rtec.characterise.effect_list import AskedEffects
+from rtec.effects.effect_list import AskedEffects
 from rtec.errors import ModelError
 from rtec.estimation.gram.fit import Estimate, estimate
 from rtec.estimation.gram.projection import starting_terms

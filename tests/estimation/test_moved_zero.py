@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import characterise
-from rtec.characterise.effect_list import read_wanted
 from rtec.diagnosis.compare.compare import compare
+from rtec.effects.effect_list import read_wanted
 from rtec.estimation.moved_zero import moved_zeros
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement

@@ -470,6 +470,82 @@ def test_an_event_log_with_units_and_words(tmp_path: Path) -> None:
         import_table(put(tmp_path, text.replace("1;x;1,5;mm", "1;x;1,5;um")), p.import_map())
 
 
+def event_log(units: Mapping[str, str], header: str = "timestamp,signal,value,unit") -> str:
+    """A log of a laser, a feed, a temperature of 293.15 K and a torque, written in other units; true values by hand."""
+    values = {"x_pos": 1.0, "deviation": 2.5, "T_x_nut": 20.0, "feed": 600.0, "spindle_speed": 3000.0, "torque": 7.5}
+    in_unit: dict[str, Callable[[float], float]] = {
+        "°F": lambda v: v * 9.0 / 5.0 + 32.0, "K": lambda v: v + 273.15, "inch": lambda v: v / 25.4,
+        "nm": lambda v: v * 1e3, "m/min": lambda v: v / 1e3, "Hz": lambda v: v / 60.0,
+    }  # fmt: skip
+    lines = [header]
+    for i in range(24):
+        x = 10.0 * (i % 12 if i < 12 else 11 - i % 12)
+        for name, value in values.items():
+            true = x if name == "x_pos" else value + (0.1 * i if name in ("deviation", "T_x_nut", "torque") else 0.0)
+            unit = units[name]
+            lines.append(f"{5.0 * i},{name},{in_unit.get(unit, float)(true):.9g},{unit}")
+    return "\n".join(lines) + "\n"
+
+
+PLAIN = {"x_pos": "mm", "deviation": "um", "T_x_nut": "degC", "feed": "mm/min", "spindle_speed": "rpm", "torque": "Nm"}
+
+
+@pytest.mark.parametrize(
+    "units",
+    [
+        {}, {"T_x_nut": "°C"}, {"T_x_nut": "C"}, {"T_x_nut": "deg C"}, {"T_x_nut": "°F"}, {"T_x_nut": "K"},
+        {"x_pos": "inch"}, {"deviation": "nm"}, {"deviation": "µm"}, {"feed": "m/min"}, {"spindle_speed": "Hz"},
+        {"spindle_speed": "U/min"},
+        {"torque": "N·m"}, {"torque": "%"}, {"torque": "A"}, {"torque": "bar"}, {"torque": "-"}, {"torque": ""},
+    ],
+    ids=lambda u: "-".join(u.values()) or "plain",
+)  # fmt: skip
+def test_units_of_an_event_log(units: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the values that the log was written with, by hand; a torque is no column of a measurement."""
+    text = event_log({**PLAIN, **units})
+    file, out = put(tmp_path, text), tmp_path / "laser-x"
+    words = ["import", str(file), "--machine", str(TURNING), "-o", str(out), "--answer", "axis=X"]
+    assert status(words) == 0, capsys.readouterr().err
+    i = np.arange(24.0)
+    table = np.genfromtxt(out.with_suffix(".csv"), delimiter=",", names=True)
+    np.testing.assert_allclose(table["reading_um"], 2.5 + 0.1 * i, rtol=1e-7)
+    np.testing.assert_allclose(table["T_x_nut_degc"], 20.0 + 0.1 * i, rtol=1e-7)
+    np.testing.assert_allclose(table["feed_mm_min"], 600.0, rtol=1e-7)
+    np.testing.assert_allclose(table["spindle_rpm"], 3000.0, rtol=1e-7)
+    np.testing.assert_allclose(table["x_mm"][:3], [0.0, 10.0, 20.0], atol=1e-6)
+    assert not {n for n in table.dtype.names or () if n.startswith("reading")} - {"reading_um"}
+
+
+def test_an_unknown_unit_of_an_event_log_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the words that are no units, and the first lines with them, counted by hand."""
+    file = put(tmp_path, event_log({**PLAIN, "T_x_nut": "degX", "feed": "furlong"}))
+    for words in ([], ["-o", str(tmp_path / "out")]):
+        capsys.readouterr()
+        assert status(["import", str(file), "--machine", str(TURNING), "--answer", "axis=X", *words]) == 2
+        said = capsys.readouterr().err
+        assert "Traceback" not in said
+        assert "line 4: channel 'T_x_nut': unit 'degX' is not known; did you mean 'deg'?" in said
+        assert "line 5: channel 'feed': unit 'furlong' is not known; allowed: " in said
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_map_reads_the_units_of_an_event_log(tmp_path: Path) -> None:
+    """Oracle: the map that was kept reads the same; °C and degC are one unit."""
+    text = event_log({**PLAIN, "T_x_nut": "°C"}).replace("°C", "degC", 3)
+    p = proposed(tmp_path, text, {"axis": "X"})
+    assert p.content["events"]["unit"] == "unit"
+    i = import_table(p.path, p.import_map())
+    np.testing.assert_allclose(i.columns["T_x_nut_degc"], 20.0 + 0.1 * np.arange(24))
+
+
+def test_a_torque_in_brackets_is_no_nanometre(tmp_path: Path) -> None:
+    """Oracle: SI writes newton metre Nm and nanometre nm; the deviation is the only reading."""
+    lines = [f"{t},{x},{1 + 0.1 * t:g},{5 + t}" for t, x in enumerate([0, 10, 20, 30, 20, 10, 0])]
+    p = proposed(tmp_path, "\n".join(["time [s],x [mm],deviation [um],torque [Nm]", *lines]) + "\n")
+    assert {c.name: c.becomes for c in p.columns}["torque [Nm]"] == ""
+    assert not [q for q in p.open if "reading" in q.key]
+
+
 # --- recordings of others
 
 

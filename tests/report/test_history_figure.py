@@ -4,14 +4,19 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation, Text
 
+from rtec.diagnosis.extend.improve import Improved
 from rtec.model import Model
 from rtec.model.history import History, steps_of
-from rtec.report.history import history_page, staircase, stairs
+from rtec.report.history import _why_ended, history_page, staircase, stairs
 from tests.support.diagnosis_examples import small_machine
 from tests.support.figures import drawn, overlapping
 
 NAMES = ["as it was", "angular_reversal(EBX, X)", "axis_expansion_nonuniform(EXX, X, T_x_nut)"]
 LONG = ["as it was", *(["axis_expansion_nonuniform(EXX, X, T_x_nut)", "backlash(EXX, X)"] * 4)]
+
+LATE = ["as it was", "axis_expansion(EZZ, Z, T_xnut)", "axis_expansion(EZZ, Z, T_znut), 11 min late",
+        "spindle_growth(EZ0spindle, T_front, T_rear), 2.5 h late",
+        "cyclic_screw(EZZ, Z), harmonics 2, pitch 10.02"]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -22,6 +27,7 @@ LONG = ["as it was", *(["axis_expansion_nonuniform(EXX, X, T_x_nut)", "backlash(
         (NAMES[:2], [0.031, 0.029], 0.03),
         (NAMES[:2], [250.0, 3.0], None),
         (NAMES[:2], [120000.0, 3.0], 0.8),
+        (LATE, [5.2, 3.1, 2.0, 1.4, 1.1], 1.0),
         (["as it was", *NAMES[2:] * 20], [100.0 * 0.8**k for k in range(21)], 0.5),
     ],
 )
@@ -74,3 +80,15 @@ def test_stairs_begin_anew_where_other_measurements_begin() -> None:
     assert floor == 0.25
     names, errors, _ = stairs(steps_of(Model(small_machine(), history=tuple(history[:1]))))
     assert (names, errors) == (["fit"], [1.62])
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("a(EXX)", "b(EXX)"), "these readings determine only what a(EXX) and b(EXX) make together"),
+        (("a(EXX)",), "these readings do not determine a(EXX) beside the other effects of the model"),
+    ],
+)
+def test_what_is_not_determined_is_not_said_of_one_thing_together(names: tuple[str, ...], said: str) -> None:
+    """Oracle: one thing makes nothing "together"; the other is in the model already."""
+    assert _why_ended(Improved(Model(small_machine()), (), (), "no_gain", cancelling=names)) == said

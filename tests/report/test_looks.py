@@ -29,7 +29,7 @@ from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.words import named, spoken, titled
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
-from rtec.model import Model, save_model
+from rtec.model import FittedEffect, Model, save_model
 from rtec.report.compare import compare_page
 from rtec.report.diagnosis import _next, diagnosis_page
 from rtec.report.figures import as_png, canvas
@@ -156,13 +156,20 @@ TRUE = {
 @pytest.mark.parametrize(("others", "command"), [((), "add"), (("backlash",), "plan")])
 def test_forms_of_one_effect_are_no_rivals_to_plan_for(others: tuple[str, ...], command: str) -> None:
     """Oracle: a plan separates effects of different names; where there is one, the sentence says to add it."""
-    (scale,) = model(SCALE).effects
-    alikes = [Alike(name, "EXX", "the same shape", "") for name in ("scale", "scale", *others)]
+    scale, play = effects(SCALE, PLAY)
+    of = {"scale": FittedEffect(scale.effect, {}), "backlash": FittedEffect(play.effect, {})}
+    alikes = [Alike(name, "EXX", "the same shape", "", fitted=of[name]) for name in ("scale", "scale", *others)]
     first = Finding(1, scale.effect, {}, {}, ("x",), 0.9, 0.99, 50.0, 0.001, 3.0, True, True, tuple(alikes))
     made = Diagnosis("ambiguous", "said", "um", 3.0, 0.3, 1.0, (first,), None, (), (), (), ())
-    (line,) = diagnosis_page(replace(made, files=(Path("m.toml"), Path("x.csv"))), figures=False).next
+    there = replace(made, files=(Path("m.toml"), Path("x.csv")), machine_file=Path("my machine.toml"))
+    (line,) = diagnosis_page(there, figures=False).next
     assert line.startswith(f"rtec {command} ")
-    assert not others or line.endswith("--rivals scale:EXX,backlash:EXX")
+    assert not others or line == "rtec plan 'my machine.toml' x.csv --rivals scale:EXX,backlash:EXX --noise 0.3"
+    # What is no candidate of the catalogue cannot be written: then nothing is, and the sentence says what to do.
+    odd = replace(
+        first, confused_with=(*alikes[:2], Alike("cyclic_screw", "EXX", "of another pitch", "read the pitch"))
+    )
+    assert diagnosis_page(replace(there, findings=(odd,)), figures=False).next == []
 
 
 @pytest.mark.parametrize("kind", list(TRUE))
@@ -193,7 +200,11 @@ def test_a_searched_period_is_added_by_the_command_that_keeps_it() -> None:
         (fitted,) = effects(text)
         first = SimpleNamespace(effect=fitted.effect, theta=theta, partner=None)
         d: Any = SimpleNamespace(
-            files=(Path("m.toml"), Path("d.csv")), verdict="missing_effect", findings=(first,), together=()
+            files=(Path("m.toml"), Path("d.csv")),
+            verdict="missing_effect",
+            findings=(first,),
+            together=(),
+            machine_option=(),
         )
         return _next(d)[0]
 

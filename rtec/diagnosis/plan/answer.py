@@ -1,7 +1,7 @@
 """The whole answer of `rtec plan`: what is separated, what to add, what separates rivals, what cannot be."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -20,12 +20,13 @@ from rtec.diagnosis.plan.plan import (
     route,
     total_information,
 )
-from rtec.diagnosis.plan.separating import Separator, SimulatedRival, ranked
+from rtec.diagnosis.plan.separating import Pair, Separator, SimulatedRival, ranked, separated, separating
 from rtec.diagnosis.plan.tests import wanted_effects
 from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect, Model
 from rtec.result import Result
 
 BallBarModel = Literal["linear", "non-linear"]
@@ -70,6 +71,7 @@ class Answer(Result):
             plane), and parameters that none of them sees.
         circles: whether `hopeless` is about circles alone.
         separators: tests by how well they separate rivals.
+        rivals: how well these tests separate the rivals in question, all pairs; empty without such a question.
         noise: assumed white noise, µm or µrad.
     """
 
@@ -83,6 +85,7 @@ class Answer(Result):
     separators: tuple[Separator, ...] = ()
     noise: float = 0.5
     circles: bool = False
+    rivals: tuple[Pair, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The parameters, with the smallest size of each that the tests detect."""
@@ -97,10 +100,13 @@ class Answer(Result):
             "proposals": [_proposal(p) for p in self.proposals],
             "route": [_proposal(p) for p in self.route],
             "hopeless": [list(h) for h in self.hopeless],
-            "separators": [
-                s.test.facts() | {"pairs": [vars(p) | {"clear": p.clear} for p in s.pairs]} for s in self.separators
-            ],
+            "separators": [s.test.facts() | {"pairs": [_pair(p) for p in s.pairs]} for s in self.separators],
+            "rivals": [_pair(p) for p in self.rivals],
         }
+
+
+def _pair(p: Pair) -> dict[str, Any]:
+    return vars(p) | {"clear": p.clear}
 
 
 def _proposal(p: Proposal) -> dict[str, Any]:
@@ -123,12 +129,15 @@ def answer(machine: Machine, tests: Sequence[Measurement], question: Question, s
         ModelError: an unknown effect, component or argument.
     """
     progress = stage or (lambda *_: None)
-    asked, beside, rivals = _asked(machine, tests, question)
+    asked, beside, base, rivals = _asked(machine, tests, question)
+    if len(rivals) == 1:
+        raise ConfigError("plan: --rivals names one effect; name two or more to separate from each other")
     noise = {m.name: question.noise for m in tests}
     found = separation_of(asked, tests, noise, question.stays)
     names = tuple(m.name for m in tests)
+    pairs = separated(base, rivals, tests, question.noise) if rivals else ()
     if not question.suggest or (found.complete and found.condition <= WEAK and not rivals and not beside):
-        return Answer(names, found, noise=question.noise)
+        return Answer(names, found, noise=question.noise, rivals=pairs)
     progress("looking for tests to add", 0, 1)
     extras = extra_tests(machine, tests)
     everything = planned([*asked, *beside], machine)
@@ -142,9 +151,14 @@ def answer(machine: Machine, tests: Sequence[Measurement], question: Question, s
         tuple(propose(asked, tests, extras, noise, question.stays)),
         tuple(route(asked, tests, extras, noise, question.stays)),
         _hopeless(everything, here + sum(m for e, m in more if not beside or _on_a_circle(e, tests)), beside),
-        tuple(_separators(everything, here, more, rivals or _groups(found))),
+        tuple(
+            separating(base, rivals, tests, extras, noise=question.noise)
+            if rivals
+            else _separators(everything, here, more, _groups(found))
+        ),
         question.noise,
         bool(beside),
+        pairs,
     )
 
 
@@ -163,8 +177,9 @@ def separation_of(
 
 def _asked(
     machine: Machine, tests: Sequence[Measurement], question: Question
-) -> tuple[tuple[Planned, ...], tuple[Planned, ...], list[tuple[str, ...]]]:
-    """Parameters; others that only matter for what can never be separated; groups of rivals by name."""
+) -> tuple[tuple[Planned, ...], tuple[Planned, ...], Model, list[FittedEffect]]:
+    """Parameters; others that only matter for what can never be separated; the rivals, and what is fitted along."""
+    nothing = Model(machine, (), name="nothing")
     bars = [m for m in tests if isinstance(m.instrument, BallBar)]
     plain = question.effects is None and question.model is None and question.rivals is None
     if question.ball_bar is not None or (plain and len(bars) == len(tests)):
@@ -173,16 +188,15 @@ def _asked(
         asked = ball_bar_set(bars, bent=bent, stays=question.stays)
         names = {p.name for p in asked}
         whole = ball_bar_set(bars, bent=bent, stays=question.stays, rolls=True)
-        return asked, tuple(p for p in whole if p.name not in names), []
+        return asked, tuple(p for p in whole if p.name not in names), nothing, []
     balls = centres(tests, question.stays)
     if question.rivals is None:
         effects = wanted_effects(question.effects, question.model, tests, machine)
-        return planned([*balls, *effects], machine), (), []
-    rivals = wanted_effects(question.rivals, None, tests, machine)
+        return planned([*balls, *effects], machine), (), nothing, []
+    rivals = wanted_effects(question.rivals, None, tests, machine, "--rivals")
     base = wanted_effects(question.effects, question.model, tests, machine) if not plain_base(question) else []
-    known = [e for e in base if e not in rivals]
-    groups = [tuple(p.name for r in rivals for p in planned([r], machine))]
-    return planned([*balls, *known, *rivals], machine), (), groups
+    known = [f for f in base if f.effect not in [r.effect for r in rivals]]
+    return planned([*balls, *known, *rivals], machine), (), replace(nothing, effects=tuple(known)), rivals
 
 
 def plain_base(question: Question) -> bool:
@@ -234,9 +248,8 @@ def _rivals(parameters: Sequence[Planned], names: Sequence[str]) -> list[Simulat
     groups: dict[str, list[int]] = {}
     for i, p in enumerate(parameters):
         if p.name in names:
-            groups.setdefault(p.name.partition(") ")[0], []).append(i)
+            groups.setdefault(p.of or p.name, []).append(i)
     return [
-        SimulatedRival(parameters[rows[0]].name if len(rows) == 1 else f"{name})", np.array(rows),
-              np.array([parameters[i].typical for i in rows]))
+        SimulatedRival(name, np.array(rows), np.array([parameters[i].typical for i in rows]))
         for name, rows in groups.items()
-    ]  # fmt: skip
+    ]

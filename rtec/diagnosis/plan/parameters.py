@@ -1,9 +1,10 @@
 """Parameters that tests are to determine: coefficients of effects, a ball bar's parameters, its ball's place."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from rtec.diagnosis.words import labels
 from rtec.effects import Effect, effect_class
 from rtec.errors import ModelError
 from rtec.machine import Machine
@@ -11,6 +12,7 @@ from rtec.metrology.ball_bar.causes import Cause, causes
 from rtec.metrology.ball_bar.circle import CircleTest, circle_of
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup
 from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect
 
 Stays = Literal["shared", "each"]
 Place = tuple[str, ...]
@@ -23,11 +25,12 @@ ROUND_MM = 0.01
 
 @dataclass(frozen=True)
 class Part:
-    """A multiple of one coefficient of an effect."""
+    """A multiple of one coefficient of an effect, at given non-linear parameters or else at their start."""
 
     effect: Effect
     coefficient: int = 0
     factor: float = 1.0
+    theta: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Planned:
         parts: effects of one unit of it.
         ball: for the place of a table-side ball.
         bar: where a ball bar in its plane has a column of its own for it.
+        of: name of its effect; empty where it is not of one.
     """
 
     name: str
@@ -70,6 +74,7 @@ class Planned:
     parts: tuple[Part, ...] = ()
     ball: Ball | None = None
     bar: OfBallBar | None = None
+    of: str = ""
 
 
 def label(effect: Effect) -> str:
@@ -84,25 +89,43 @@ def hours_in_words(hours: float) -> str:
     return f"{60 * hours:.0f} min" if hours < 1.5 else f"{hours:.1f} h"
 
 
-def planned(asked: Sequence[Effect | Planned], machine: Machine) -> tuple[Planned, ...]:
+def names_of(effects: Sequence[FittedEffect]) -> list[str]:
+    """Names of effects, as `label`; equal ones get the arguments or numbers in which they differ."""
+    out = [label(f.effect) for f in effects]
+    for name in {n for n in out if out.count(n) > 1}:
+        rows = [i for i, n in enumerate(out) if n == name]
+        for i, full in zip(rows, labels([effects[i] for i in rows]), strict=True):
+            out[i] = name + full.removeprefix(effects[i].label)
+    return out
+
+
+def planned(asked: Sequence[Effect | FittedEffect | Planned], machine: Machine) -> tuple[Planned, ...]:
     """Parameters in question; an effect represents each of its coefficients.
 
     Raises:
         ModelError: one of them is given twice.
     """
-    out = [p for a in asked for p in ([a] if isinstance(a, Planned) else _of_effect(a, machine))]
-    names = [p.name for p in out]
-    twice = next((n for n in names if names.count(n) > 1), None)
-    if twice:
-        raise ModelError(f"plan: {twice} is given twice")
+    effects = [FittedEffect(a, {}) if isinstance(a, Effect) else a for a in asked if not isinstance(a, Planned)]
+    _refuse_twice([(label(f.effect), (f.effect, dict(f.theta))) for f in effects])
+    each = iter(zip(effects, names_of(effects), strict=True))
+    out = [p for a in asked for p in ([a] if isinstance(a, Planned) else _of_effect(*next(each), machine))]
+    _refuse_twice([(p.name, p.name) for p in out])
     return tuple(out)
 
 
-def _of_effect(effect: Effect, machine: Machine) -> Iterator[Planned]:
-    coefficients = effect.coefficients(machine)
+def _refuse_twice(named: Sequence[tuple[str, object]]) -> None:
+    """Raise an error where two things, each with its name, are the same."""
+    things = [thing for _, thing in named]
+    twice = next((name for i, (name, thing) in enumerate(named) if thing in things[:i]), None)
+    if twice:
+        raise ModelError(f"plan: {twice} is given twice")
+
+
+def _of_effect(fitted: FittedEffect, of: str, machine: Machine) -> Iterator[Planned]:
+    coefficients = fitted.effect.coefficients(machine)
     for i, p in enumerate(coefficients):
-        name = label(effect) if len(coefficients) == 1 else f"{label(effect)} {p.name}"
-        yield Planned(name, p.unit, p.typical, (Part(effect, i),))
+        name = of if len(coefficients) == 1 else f"{of} {p.name}"
+        yield Planned(name, p.unit, p.typical, (Part(fitted.effect, i, theta=fitted.theta),), of=of)
 
 
 def ball_place(measurement: Measurement, stays: Stays) -> Place | None:

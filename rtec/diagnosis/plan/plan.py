@@ -28,6 +28,7 @@ from rtec.metrology.ball_bar.circle import CircleTest, circle_of
 from rtec.metrology.ball_bar.design import stacked_design
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup
 from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect
 
 Floats = NDArray[np.float64]
 USUAL_NOISE = 0.5
@@ -138,7 +139,7 @@ def _column(parameter: Planned, readings: Readings, place: Place | None) -> Floa
         return _ball_column(parameter.ball, instrument.setup, bar, place)
     out = np.zeros(len(readings))
     for part in parameter.parts:
-        out += part.factor * effect_columns(part.effect, readings)[:, part.coefficient]
+        out += part.factor * effect_columns(part.effect, readings, dict(part.theta) or None)[:, part.coefficient]
     return out
 
 
@@ -272,7 +273,7 @@ class Proposal:
     gained: tuple[str, ...]
 
 
-Asked = Sequence[Effect | Planned]
+Asked = Sequence[Effect | FittedEffect | Planned]
 
 
 def separation(
@@ -284,7 +285,8 @@ def separation(
     """What a set of tests determines.
 
     Args:
-        asked: effects whose coefficients are in question (non-linear parameters at their start), or parameters.
+        asked: effects whose coefficients are in question (non-linear parameters at their start, or as given), or
+            parameters.
         measurements: poses and channels of the tests; readings may be anything.
         noise: white noise of a measurement by name, in the unit of its readings; 0.5 where not given.
         stays: which ball-bar tests share a table-side ball.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.plan.ideas import extra_tests
-from rtec.diagnosis.plan.parameters import hours_in_words, label
+from rtec.diagnosis.plan.parameters import hours_in_words, names_of
 from rtec.diagnosis.plan.plan import USUAL_NOISE, Extra, clean, effect_columns
 from rtec.diagnosis.result import Alike
 from rtec.effects import Effect
@@ -129,12 +129,29 @@ def separating(
         here = np.zeros(2 * (_width((*model.effects, *rivals), machine),))
         here += sum(_of_test(model, rivals, m, noise) for m in measurements)
     informed = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
+    base, split = _as_columns(model, rivals)
+    return ranked(here, informed, base, split)
+
+
+def separated(
+    model: Model, rivals: Sequence[FittedEffect], measurements: Sequence[Measurement], noise: float = USUAL_NOISE
+) -> tuple[Pair, ...]:
+    """How well tests by themselves separate rival effects, all pairs; arguments as `separating`."""
+    here = sum(_of_test(model, rivals, m, noise) for m in measurements)
+    base, split = _as_columns(model, rivals)
+    gains = _gains(np.asarray(here), base, split)
+    return _pairs(split, gains, gains)
+
+
+def _as_columns(model: Model, rivals: Sequence[FittedEffect]) -> tuple[NDArray[np.int64], list[SimulatedRival]]:
+    """Places of the model's columns, and the rivals with theirs."""
+    machine = model.machine
     edges = np.cumsum([_width(model.effects, machine), *(_width([f], machine) for f in rivals)])
     split = [
-        SimulatedRival(label(f.effect), np.arange(first, last), _values(f, machine))
-        for f, first, last in zip(rivals, edges[:-1], edges[1:], strict=True)
+        SimulatedRival(name, np.arange(first, last), _values(f, machine))
+        for name, f, first, last in zip(names_of(rivals), rivals, edges[:-1], edges[1:], strict=True)
     ]
-    return ranked(here, informed, np.arange(edges[0]), split)
+    return np.arange(edges[0]), split
 
 
 def ranked(

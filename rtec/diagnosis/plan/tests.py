@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rtec.effects import Effect, effect_class
+from rtec.effects.effect_list import read_wanted
 from rtec.effects.registry import instances
 from rtec.errors import ConfigError
 from rtec.estimation.candidates import surroundings, visible
@@ -16,7 +17,7 @@ from rtec.metrology.files.load import load_measurements
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.model import Model
+from rtec.model import FittedEffect, Model, load_model
 from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
 from rtec.tomlfile import read_toml, validated
@@ -103,25 +104,47 @@ def thinned(measurement: Measurement, most: int = 3000) -> Measurement:
 
 
 def wanted_effects(
-    text: str | None, model: Path | None, measurements: Sequence[Measurement], machine: Machine
-) -> list[Effect]:
-    """Effects in question: named in a text, those of a model, or the usual ones.
+    text: str | None,
+    model: Path | None,
+    measurements: Sequence[Measurement],
+    machine: Machine,
+    option: str = "--effects",
+) -> list[FittedEffect]:
+    """Effects in question: named in a text, those of a model, or the usual ones; each with its numbers.
+
+    Numbers that are not given are the usual ones.
+
+    Args:
+        text: list of effects, as the user typed it.
+        model: file of a model.
+        measurements: tests.
+        machine: of the tests.
+        option: what the user typed the list after, for messages.
 
     Raises:
         ConfigError: no effect remains.
         ModelError: an unknown effect, component or argument.
     """
-    from rtec.characterise.effect_list import read_wanted
-    from rtec.model import load_model
-
-    out: list[Effect] = []
+    out: list[FittedEffect] = []
     if model is not None:
-        out += [f.effect for f in load_model(model, machine).effects]
+        out += load_model(model, machine).effects
     if text is not None:
-        wanted = read_wanted(text, machine)
-        out += [*wanted.exact, *(usual_effects(measurements, wanted.names) if wanted.names else [])]
+        wanted = read_wanted(text, machine, option, with_numbers=True)
+        out += [at_usual(e, machine, n) for e, n in zip(wanted.exact, wanted.numbers, strict=True)]
+        usual = usual_effects(measurements, wanted.names) if wanted.names else []
+        out += [at_usual(e, machine) for e in usual]
     if text is None and model is None:
-        out = usual_effects(measurements)
+        out = [at_usual(e, machine) for e in usual_effects(measurements)]
     if not out:
-        raise ConfigError("plan: these tests see none of the effects in question; name some with --effects")
+        raise ConfigError(f"plan: these tests see none of the effects in question; name some with {option}")
     return out
+
+
+def at_usual(effect: Effect, machine: Machine, given: Mapping[str, float] | None = None) -> FittedEffect:
+    """An effect at its usual size, non-linear parameters where a search begins; but for the given numbers."""
+    numbers = given or {}
+    return FittedEffect(
+        effect,
+        {p.name: numbers.get(p.name, p.typical) for p in effect.coefficients(machine)},
+        {p.name: numbers.get(p.name, p.start) for p in effect.nonlinear(machine)},
+    )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.readers.base import Floats, ForeignTable, Texts, number_or_none
+from rtec.metrology.units import logged
 
 Bools = NDArray[np.bool_]
 MAX_CONDITION = 2000
@@ -134,11 +135,12 @@ def from_events(table: ForeignTable, channel: str, value: str, unit: str | None,
         The other columns, then the channels in order of appearance; what an instant did not log is NaN or "".
 
     Raises:
-        MeasurementError: a column is missing, a channel has the name of another column, or a channel has two units.
+        MeasurementError: a column is missing, a channel has the name of another column, or a channel has two units or
+            an unknown one.
     """
     names = [_word(c) for c in table.column(channel, source)]
     values = table.column(value, source)
-    units = None if unit is None else [_word(u) for u in table.column(unit, source)]
+    units = None if unit is None else _units(table, names, unit, source)
     keys = [n for n in table.columns if n not in (channel, value, unit)]
     rows, starts = _instants(names, [table.columns[k] for k in keys])
     columns: dict[str, Floats | Texts] = {k: table.columns[k][starts] for k in keys}
@@ -157,6 +159,22 @@ def from_events(table: ForeignTable, channel: str, value: str, unit: str | None,
             out_units |= dict.fromkeys([name], next(iter(known))) if known else {}
     notes = (*table.notes, f"{len(names)} events of {len(dict.fromkeys(names))} channels in {len(starts)} rows")
     return replace(table, columns=columns, units=out_units, lines=table.lines[starts], notes=notes, wrong={})
+
+
+def _units(table: ForeignTable, channels: Sequence[str], unit: str, source: str) -> list[str]:
+    """Unit of each event, as `logged` names it."""
+    words = [_word(u) for u in table.column(unit, source)]
+    known: dict[str, str] = {}
+    faults = []
+    for word in dict.fromkeys(words):
+        at = words.index(word)
+        try:
+            known[word] = logged(word)
+        except ValueError as e:
+            faults.append(f"{source}: line {table.lines[at]}: channel {channels[at]!r}: {e}")
+    if faults:
+        raise MeasurementError("\n".join([*faults, f"correct {unit!r} in the file; - is a number without a unit"]))
+    return [known[word] for word in words]
 
 
 def _word(cell: Any) -> str:
