@@ -82,10 +82,13 @@ def fixed_end(model: Model) -> str | None:
     """Where the fixed end of an expansion is by the last effect, its shift, in words; None where that is another."""
     *others, last = model.effects
     shift = last.effect
-    for f in others if isinstance(shift, MountExpansion) else ():
+    if not isinstance(shift, MountExpansion):
+        return None
+    for f in others:
         grows = f.effect
-        same = isinstance(grows, AxisExpansion) and grows.component == shift.component
-        if same and (grows.sensor, grows.lag) == (shift.sensor, shift.lag):
+        if not isinstance(grows, AxisExpansion) or grows.component != shift.component:
+            continue
+        if (grows.sensor, grows.lag) == (shift.sensor, shift.lag):
             end_mm = grows.fixed_mm - 1000.0 * last.values["k"] / f.values["k"]
             return f"with it the fixed end of {f.label} is at {end_mm:.0f} mm instead of {grows.fixed_mm:.0f} mm"
     return None
