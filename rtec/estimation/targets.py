@@ -21,8 +21,9 @@ from rtec.machine import Axis
 Floats = NDArray[np.float64]
 
 WAVES = (CyclicScrew, CouplingMisalignment, InterpolationError, CyclicPole)
-FEW = 60
-"""Most targets that are held out in turn; a wave that fits more of them is no pattern."""
+FEW, MOST = 60, 400
+"""Targets up to which `LEAST` holds, beyond it falls with their number; most targets that are held out in turn: a wave
+that fits more of them is no pattern."""
 BEND = 3
 """Degree of the curve along the axis that is fitted beside the wave."""
 FOLDS = 8
@@ -44,7 +45,7 @@ def _targets(readings: Readings, axis: Axis) -> Floats:
 
 
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
-    """Whether a wave predicts held-out targets; also true for any other effect, and with more than `FEW` targets.
+    """Whether a wave predicts held-out targets; also true for any other effect, and with more than `MOST` targets.
 
     A wave of known period is tested as well: several of them fit any few numbers. Where the targets differ by no more
     than the display rounds, no effect of the position alone predicts them.
@@ -69,7 +70,7 @@ def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: S
     if float(np.std(mean)) <= float(rounded.min()):
         return False
     searched = bool(effect.nonlinear(machine)) and len(thetas) > 1
-    if len(count) > FEW or not (searched or isinstance(effect, WAVES)):
+    if len(count) > MOST or not (searched or isinstance(effect, WAVES)):
         return True
     if len(count) <= 2 * BEND:
         return False
@@ -80,7 +81,7 @@ def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: S
     away[seen[first]] = False
     once = readings.without(away)
     waves = np.stack([once.columns(effect, theta) for theta in thetas])
-    return _fall(position[seen[first]][order], mean[order], waves) > LEAST
+    return _fall(position[seen[first]][order], mean[order], waves) > LEAST * min(FEW / len(count), 1.0)
 
 
 def _fall(place: Floats, mean: Floats, waves: Floats) -> float:
