@@ -42,8 +42,11 @@ def pytest_make_parametrize_id(val: object) -> str | None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One worker a core, and one for the tests on the real clock, which wait for most of their time."""
-    return len(os.sched_getaffinity(0)) + 1
+    """One worker a core, and three for the tests that wait for most of their time: for the real clock, and two browsers.
+
+    They begin first, for they are the largest groups; with fewer workers both cores are idle until they are done.
+    """
+    return len(os.sched_getaffinity(0)) + 3
 
 
 @pytest.hookimpl(wrapper=True)
