@@ -1,6 +1,7 @@
 """What an effect is: arguments, parameters with units, basis functions of the state; and what readings it needs."""
 
 import itertools
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,17 @@ from rtec.tomlfile import Strict, nearest
 
 Floats = NDArray[np.float64]
 
+SIDES = frozenset(
+    ["front", "back", "rear", "left", "right", "top", "bottom", "upper", "lower", "inner", "outer", "inside", "outside"]
+)
+"""Words for the sides of one part in the names of sensors."""
+
+
+def of_one_part(one: str, other: str) -> bool:
+    """Whether two sensors are on one part by their names: `T_col_front` and `T_col_back`, `T_left` and `T_right`."""
+    mine, its = ({w for w in re.split(r"[^a-z]+", s.lower()) if len(w) > 1} for s in (one, other))
+    return bool(mine & its) or bool(mine & SIDES and its & SIDES)
+
 
 @dataclass(frozen=True)
 class Surroundings:
@@ -32,6 +44,7 @@ class Surroundings:
         span_s: length of the longest measurement.
         step_s: typical time between readings.
         places_mm: positions of the readings, mm, by position channel.
+        still: recorded temperatures that do not vary.
     """
 
     machine: Machine
@@ -42,6 +55,13 @@ class Surroundings:
     span_s: float
     step_s: float
     places_mm: Mapping[str, Floats] = field(default_factory=dict)
+    still: tuple[str, ...] = ()
+
+    @property
+    def pairs(self) -> list[tuple[str, str]]:
+        """Temperatures that may differ: two that vary, or two on one part, by their names, of which one varies."""
+        part = ((one, other) for one in self.sensors for other in self.still if of_one_part(one, other))
+        return [*itertools.combinations(self.sensors, 2), *part]
 
     @property
     def moved(self) -> Axis:
@@ -94,7 +114,7 @@ DRIVES: dict[str, Callable[[Surroundings], str]] = {
     "acceleration": lambda a: _of_axis(a, "acceleration_channel", "the acceleration"),
     "since_reversal": lambda a: _of_axis(a, "since_reversal_channel", "the distance since a reversal"),
     "temperature": lambda a: "" if a.sensors else "no temperature varies",
-    "two temperatures": lambda a: "" if len(a.sensors) > 1 else "fewer than two temperatures vary",
+    "two temperatures": lambda a: "" if a.pairs else "fewer than two temperatures vary",
     "spindle_rpm": lambda a: _moved(a, "spindle_rpm", "the spindle speed"),
     "load_kg": lambda a: _moved(a, "load_kg", "the load"),
     "force_n": lambda a: _moved(a, "force_n", "the force"),
@@ -244,7 +264,7 @@ class Effect(Strict, ABC):
         fields = cls.model_fields
         along = {"axis": around.axis.name} if "axis" in fields and around.axis is not None else {}
         if "front" in fields:
-            for front, back in itertools.combinations(around.sensors, 2):
+            for front, back in around.pairs:
                 yield {**along, "front": front, "back": back}
         elif "sensor" in fields:
             for sensor in around.sensors:

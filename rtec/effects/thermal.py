@@ -5,7 +5,6 @@ Symbols: `ΔT` temperature above the model's reference, K; `q` position, mm; `L[
 """
 
 import itertools
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
@@ -21,6 +20,7 @@ from rtec.effects.base import (
     Surroundings,
     check_sensor,
     component_kind,
+    of_one_part,
 )
 from rtec.effects.geometry import scaled
 from rtec.effects.state import Channels, Value
@@ -29,10 +29,6 @@ from rtec.quantities import Millimetres
 
 LAGS_S = (300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0)
 TAU = Parameter("tau", "s", 1800.0, 10.0, 40000.0, 1800.0, LAGS_S)
-SIDES = frozenset(
-    ["front", "back", "rear", "left", "right", "top", "bottom", "upper", "lower", "inner", "outer", "inside", "outside"]
-)
-"""Words for the sides of one part in the names of sensors."""
 SLOW = Parameter("tau", "s", 7200.0, 10.0, 40000.0, 7200.0, (1200.0, 2400.0, 4800.0, 9600.0, 19200.0))
 
 
@@ -40,12 +36,6 @@ def named(sensors: Sequence[str], *words: str) -> list[str]:
     """Sensors with one of the words in their names; all where none has."""
     found = [s for s in sensors if any(w in s.lower() for w in words)]
     return found or list(sensors)
-
-
-def of_one_part(one: str, other: str) -> bool:
-    """Whether two sensors are on one part by their names: `T_col_front` and `T_col_back`, `T_left` and `T_right`."""
-    mine, its = ({w for w in re.split(r"[^a-z]+", s.lower()) if len(w) > 1} for s in (one, other))
-    return bool(mine & its) or bool(mine & SIDES and its & SIDES)
 
 
 class OneSensor(Effect):
@@ -193,9 +183,10 @@ class ColumnTilt(Effect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every pair of sensors; also lagged where both are on one part by their names, or where no names are so.
+        """Every pair of sensors that vary, and pairs on one part, by their names, of which one side stays as it is.
 
-        The middle of a thick wall warms up after both of its sides.
+        Also lagged where both are on one part, or where no names are so: the middle of a thick wall warms up after both
+        of its sides.
         """
         pairs = list(super().arguments(around))
         yield from pairs

@@ -173,11 +173,9 @@ def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
     arms = readings.arms(seen.name)
     parts = sorted({s.source for s in readings.series if np.abs(arms[s.part]).max(initial=0.0) > 0.0})
     sources = [(readings.measurements[i], readings.states[i]) for i in parts]
-    varying: dict[str, tuple[float, float]] = {}
-    for name in _names(machine, seen):
-        span = _span([s for _, s in sources], name)
-        if span is not None and span[1] - span[0] > real(machine, name):
-            varying[name] = span
+    spans = {name: _span([s for _, s in sources], name) for name in _names(machine, seen)}
+    known = {name: span for name, span in spans.items() if span is not None}
+    varying = {name: (low, high) for name, (low, high) in known.items() if high - low > real(machine, name)}
     times = [m.time_s for m, _ in sources]
     steps = [np.diff(t) for t in times]
     return Surroundings(
@@ -185,6 +183,7 @@ def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
         component=seen.name,
         axis=seen.axis if seen.moves else None,
         sensors=tuple(s for s in machine.sensor_names if s in varying),
+        still=tuple(s for s in machine.sensor_names if s in known and s not in varying),
         channels=varying,
         span_s=max((float(t[-1] - t[0]) for t in times), default=0.0),
         step_s=min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=1.0),

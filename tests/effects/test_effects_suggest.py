@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtec.effects import EFFECTS, Effect, State
 from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import CyclicScrew, widest_phase_gap
-from rtec.effects.thermal import AxisExpansion
+from rtec.effects.thermal import AxisExpansion, BedBending
 from rtec.machine import Machine
 from rtec.machine.machine import Sensor
 from tests.support.machines import turning_centre, vertical_mill
@@ -67,6 +67,15 @@ def test_a_screw_may_be_warm_later_than_its_sensor() -> None:
     found = [e for e in proposed(offered(MILL, "EXX")) if isinstance(e, AxisExpansion)]
     for late in (False, True):
         assert {e.sensor for e in found if e.lag is late} == set(SENSORS)
+
+
+def test_one_side_of_a_part_may_stay_as_it_is() -> None:
+    """Oracle: a bed bends by the difference of its sides, also where only one of them warms up."""
+    around = offered(MILL, "EZX", ("T_air", "T_back"))
+    around = replace(around, still=("T_air", "T_back"))
+    pairs = {(e.front, e.back) for e in proposed(around) if isinstance(e, BedBending)}
+    assert ("T_front", "T_back") in pairs
+    assert not any("T_air" in pair for pair in pairs), "the air is no part"
 
 
 def test_every_effect_is_proposed_somewhere() -> None:
