@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.effects.time_data import MissedCounts
 from rtec.estimation.noise import minutes
 from rtec.model import FittedEffect
 from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, with_error
@@ -132,7 +133,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             )
         return (
             f"{f.label} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
-            f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
+            f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error{_same_jump(f)}"
         )
     if d.verdict == "ambiguous":
         return _one_of(d)
@@ -176,6 +177,12 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     drift = d.judged.drift if d.judged is not None and d.rms_residual > ABOVE * d.noise_floor else 0.0
     slow = f"; {number(drift)} {unit} is slow drift that no recorded channel explains" if drift > d.noise_floor else ""
     return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
+
+
+def _same_jump(f: Finding) -> str:
+    """What else makes a jump that lasts to the end of the record; empty for any other effect."""
+    jump = isinstance(f.effect, MissedCounts)
+    return "; a display that was zeroed again, or a set-up that was touched, makes the same jump" if jump else ""
 
 
 FEW = 2
