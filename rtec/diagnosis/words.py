@@ -149,15 +149,17 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         where = " and ".join(map(named, d.unknown.channels))
         period = d.unknown.period
         periods = " or ".join(significant(p, 4) for p in (period.value, *d.unknown.aliases_mm)) if period else ""
-        how = f"with a period of {periods} {spoken(period.unit)}" if period else "smoothly"
+        how = f"with a period of {periods} {spoken(period.unit)} " if period else "smoothly "
         at = f", {d.unknown.where}" if d.unknown.where else ""
+        if d.unknown.shape == "steps":
+            how, at = ("", f", with {d.unknown.where}") if at else ("in steps ", "")
         if d.unknown.step_mm is not None:
             at += f"; targets every {d.unknown.step_mm:.4g} mm show these periods alike, unequal steps do not"
         near = "; it rises with time in this record, so a drift would look alike" if d.unknown.with_time else ""
         if d.findings and d.adequacy is not None:
             share = percent(max(d.adequacy, 0.0))
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
-        text = f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
+        text = f"an effect is missing that is not in the catalogue: the residual depends {how}on {where}{at}{near}"
         return text + _within(d) + _by_heat(d)
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
