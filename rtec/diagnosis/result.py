@@ -74,6 +74,7 @@ class Finding:
         confused_with: effects that are confounded with it, and the tests that separate them.
         why_not: why it was not accepted or not preferred, in words; empty for rank 1 when accepted.
         partner: a second effect that has to be added with it, as neither alone predicts held-out runs better.
+        same_components: of other parts between tool and work, on which the effect is the same in these readings.
     """
 
     rank: int
@@ -91,6 +92,7 @@ class Finding:
     confused_with: tuple[Alike, ...] = ()
     why_not: str = ""
     partner: "Finding | None" = None
+    same_components: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -359,6 +361,7 @@ def _finding(f: Finding) -> dict[str, Any]:
         "confused_with": [{k: v for k, v in vars(a).items() if k != "fitted"} for a in f.confused_with],
         "why_not": f.why_not,
         "together_with": f.partner.label if f.partner else None,
+        "same_components": list(f.same_components),
     }
 
 

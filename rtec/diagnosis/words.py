@@ -9,6 +9,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.effects.time_data import MissedCounts
 from rtec.estimation.noise import minutes
 from rtec.model import FittedEffect
 from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, with_error
@@ -127,12 +128,13 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         if f.partner is not None:
             one, other = labels([f, f.partner])
             return (
-                f"{one} and {other} are missing together, neither lowers the error on held-out runs "
-                f"alone: adding both removes {percent(f.heldout_drop)} of the held-out mean square error"
+                f"{one} and {other} are missing together, neither lowers the error on held-out runs alone: adding "
+                f"both removes {percent(f.heldout_drop)} of the held-out mean square error{other_parts(f)}"
             )
         return (
             f"{f.label} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
             f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
+            f"{_same_jump(f)}{other_parts(f)}"
         )
     if d.verdict == "ambiguous":
         return _one_of(d)
@@ -147,15 +149,17 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         where = " and ".join(map(named, d.unknown.channels))
         period = d.unknown.period
         periods = " or ".join(significant(p, 4) for p in (period.value, *d.unknown.aliases_mm)) if period else ""
-        how = f"with a period of {periods} {spoken(period.unit)}" if period else "smoothly"
+        how = f"with a period of {periods} {spoken(period.unit)} " if period else "smoothly "
         at = f", {d.unknown.where}" if d.unknown.where else ""
+        if d.unknown.shape == "steps":
+            how, at = ("", f", with {d.unknown.where}") if at else ("in steps ", "")
         if d.unknown.step_mm is not None:
             at += f"; targets every {d.unknown.step_mm:.4g} mm show these periods alike, unequal steps do not"
         near = "; it rises with time in this record, so a drift would look alike" if d.unknown.with_time else ""
         if d.findings and d.adequacy is not None:
             share = percent(max(d.adequacy, 0.0))
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
-        text = f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
+        text = f"an effect is missing that is not in the catalogue: the residual depends {how}on {where}{at}{near}"
         return text + _within(d) + _by_heat(d)
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
@@ -184,6 +188,23 @@ def drifts(d: Diagnosis) -> str:
     return f"; {number(d.judged.drift)} {ERROR_UNITS[d.unit]} is slow drift that no recorded channel explains"
 
 
+def other_parts(f: Finding) -> str:
+    """That the readings do not show which part an effect is of; empty where no other is the same, or it is a rival."""
+    named = {a.component for a in f.confused_with}
+    others = [c for c in f.same_components if c not in named]
+    if not others:
+        return ""
+    more, are = (f" and {len(others) - 1} more", "are") if len(others) > 1 else ("", "is")
+    same = f"{others[0]}{more} {are} the same as {f.effect.component} in these readings"
+    return f"; {same}: they do not show which part moved"
+
+
+def _same_jump(f: Finding) -> str:
+    """What else makes a jump that lasts to the end of the record; empty for any other effect."""
+    jump = isinstance(f.effect, MissedCounts)
+    return "; a display that was zeroed again, or a set-up that was touched, makes the same jump" if jump else ""
+
+
 FEW = 2
 """Number of effects up to which the sentence gives the share and the rivals of each."""
 
@@ -205,9 +226,10 @@ def _together(d: Diagnosis) -> str:
     are = "is" if len(parts) == 1 else "are"
     named_so = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
     if d.unknown is None:
-        return f"{named_so} {are} missing"
+        return f"{named_so} {are} missing{other_parts(d.findings[0])}"
     where = " and ".join(map(named, d.unknown.channels))
-    text = f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}"
+    same = other_parts(d.findings[0])
+    text = f"{named_so} {are} missing{same}; what stays has no name in the catalogue and depends on {where}"
     return text + _within(d) + _by_heat(d)
 
 
@@ -257,13 +279,13 @@ def _one_of(d: Diagnosis) -> str:
     more = f"; {beside}, which explains another part of the readings, may be missing too" if beside else ""
     if len(names) == 1:
         forms = "; its form cannot be determined from these data" if len(group) > 1 else ""
-        return f"{first.label} is missing{forms}{more}: add it, then diagnose again"
+        return f"{first.label} is missing{forms}{more}{other_parts(first)}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
     way = f". To separate them: {test}" if test else ""
     way = f". {sentence(test)}" if test.startswith(NONE_SETTLES) else way
     return (
         f"one of {', '.join(names[:4])} is missing, or more than one; these data cannot distinguish them "
-        f"(confounded){more}{way}"
+        f"(confounded){more}{other_parts(first)}{way}"
     )
 
 

@@ -1,6 +1,7 @@
 """Candidates of a search: every effect of the registry, for every component error that the readings see."""
 
 import itertools
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter, State
-from rtec.effects.base import Surroundings
+from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import GROWTHS, PITCH_MM, Cyclic, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.effects.thermal import ColumnTilt
@@ -31,6 +32,10 @@ MOST_PERIODS, FINE = 6000, 2.5
 the whole of it. Of an axis so long that these do not reach the shortest period, the shortest ones are not tried."""
 ONE_ARM = 1e-3
 """Lever arms within this relative difference are equal."""
+SAME_ARMS = 1e-9
+"""Lever arms whose cosine is this near to one are the same but for a factor."""
+LETTERS, OF_AN_AXIS = 3, ("nut", "screw", "scale", "motor", "fix", "bearing")
+"""Fewest letters of a part's name that the name of its sensor has; what a sensor of an axis may be on."""
 MOST = 48
 """Combinations of non-linear parameters in the grid, at most."""
 REAL = {"degc": 0.3, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
@@ -60,7 +65,7 @@ class Untried:
 
 
 def library(
-    readings: Readings, only: Sequence[str] | None = None, there: Sequence[FittedEffect] = ()
+    readings: Readings, only: Sequence[str] | None = None, there: Sequence[FittedEffect] | None = None
 ) -> tuple[list[EffectCandidate], list[Untried]]:
     """All candidates, and the effects that cannot be one.
 
@@ -68,12 +73,13 @@ def library(
         readings: all readings.
         only: names of effects; None for all.
         there: effects of the model. An immediate effect of a temperature may be delayed as well; a wave of constant
-            size may also grow with a channel.
+            size may also grow with a channel. None: not for a model; of fixed links that are the same in these
+            readings then the first has its effects, whatever their names.
     """
     out: list[EffectCandidate] = []
     untried: list[Untried] = []
     kinds = all_effects()
-    shown = visible(readings)
+    shown, there = visible(readings, there), there or ()
     feet = _feet(readings, shown)
     for seen in (*shown, *feet):
         around = surroundings(readings, seen)
@@ -109,19 +115,107 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
     return shifts and float(np.ptp(np.concatenate(mine))) < ONE_ARM * float(np.abs(np.concatenate(mine)).max())
 
 
-def visible(readings: Readings) -> list[VisibleComponent]:
+def visible(readings: Readings, there: Sequence[FittedEffect] | None = ()) -> list[VisibleComponent]:
     """Component errors that the readings see; where no axis moves, the tilts of the axes that carry the spindle too.
 
     A column tilts about its foot, which may be at any axis of its chain. Tilts that move all readings as another
-    component does are left out: these readings cannot distinguish them.
+    component does are left out: these readings cannot distinguish them. Of fixed links that are the same in these
+    readings one stands for all: that of effects of the model, a spindle, or one that a sensor has its name from.
+
+    Args:
+        readings: the readings.
+        there: effects of the model; None to leave the first link of each.
     """
     found, machine = visible_components(readings.measurements), readings.machine
+    if there is not None:
+        found = [_stands_for_all(readings, c, there) for c in found]
     if any(moves(m, a) for m in readings.measurements for a in machine.axes):
         return found
     fixed = {c.name[3:] for c in found if c.axis is None}
     carrying = {n for chain in (machine.work_chain, machine.tool_chain) if fixed & set(chain) for n in chain}
     tilts = (f"E{angle}{a.name}" for a in machine.axes if a.name in carrying for angle in "ABC")
     return found + [VisibleComponent(n, axis_of(n, machine), moves=False) for n in _apart(readings, tilts, found)]
+
+
+def _stands_for_all(readings: Readings, seen: VisibleComponent, there: Sequence[FittedEffect]) -> VisibleComponent:
+    """A fixed link's error, or that of the link which stands best for all that are the same in these readings."""
+    machine, part = readings.machine, part_of(seen.name)
+    if seen.axis is not None or seen.name in {m.instrument.component for m in readings.measurements}:
+        return seen
+    known, sensors = {f.effect.component for f in there}, machine.sensor_names
+    fits = is_spindle(part) or on_part(part, sensors)
+
+    def better(name: str) -> bool:
+        return name in known or (not fits and on_part(part_of(name), sensors))
+
+    fixed = [
+        c for c in machine.components if c != seen.name and c[1:3] == seen.name[1:3] and axis_of(c, machine) is None
+    ]
+    if seen.name in known or not any(map(better, fixed)):
+        return seen
+    same = [c for c in same_components(readings, seen.name) if c in fixed and better(c)]
+    best = min(same, key=lambda c: c not in known, default=seen.name)  # the first of those that are best
+    return replace(seen, name=best)
+
+
+def same_components(readings: Readings, component: str) -> list[str]:
+    """Other component errors in the same direction that move all readings as one does, but for a factor."""
+    mine = _shape(readings, component)
+    others = [c for c in readings.machine.components if c != component and c[1] == component[1]]
+    return [c for c in others if abs(float(mine @ _shape(readings, c))) > 1.0 - SAME_ARMS]
+
+
+def same_effects(readings: Readings, effect: Effect, there: Sequence[FittedEffect] = ()) -> list[str]:
+    """Components of other parts on which an effect would be the same in these readings: at most one of each part.
+
+    Only of what acts on a part between tool and work as a whole: its heat, its load, the speed or the time, wherever
+    the axes are. First the parts that the effect's sensors have their names from, then those of the model, then links.
+    """
+    machine, channels = readings.machine, effect.channels(readings.machine)
+    if not channels or {c for a in machine.axes for c in a.moving_channels} & set(channels):
+        return []
+    known, sensors = {f.effect.component for f in there}, [c for c in channels if c in machine.sensor_names]
+    out: dict[str, str] = {}
+    for name in same_components(readings, effect.component):
+        if part_of(name) != part_of(effect.component) and _feeds(effect, name, machine):
+            out.setdefault(part_of(name), name)
+
+    def order(name: str) -> tuple[bool, bool, bool]:
+        return not on_part(part_of(name), sensors), name not in known, axis_of(name, machine) is not None
+
+    return sorted(out.values(), key=order)
+
+
+def _feeds(effect: Effect, component: str, machine: Machine) -> bool:
+    """Whether an effect may be of a component: as in a search, and what tilts a part may be the roll of an axis too."""
+    kind = component_kind(component, machine)
+    fed = kind in effect.feeds or (kind == "roll" and "tilt" in effect.feeds)
+    if not fed or getattr(effect, "axis", None) is not None:
+        return False
+    try:
+        effect.model_copy(update={"component": component}).check(machine, "diagnose")
+    except ModelError:
+        return False
+    return True
+
+
+def part_of(component: str) -> str:
+    """The axis or link that has a component error: X of `EXX` and `EC0X`, wheel of `EX0wheel`."""
+    return component[2:].removeprefix("0")
+
+
+def is_spindle(link: str) -> bool:
+    """Whether a link is the spindle by its name."""
+    return "spindle" in link.lower() or link.lower() == "s"
+
+
+def on_part(part: str, sensors: Iterable[str]) -> bool:
+    """Whether one of the sensors is on a part by its name: `T_wheel`, `T_col_front` of a column, `T_xnut` of X."""
+    name = part.lower()
+    words = [w for s in sensors for w in re.split(r"[^a-z]+", s.lower()) if len(w) > 1 or w == name]
+    if len(name) < LETTERS:
+        return any(w.removeprefix(name) in ("", *OF_AN_AXIS) for w in words if w.startswith(name))
+    return any(w == name or (len(w) >= LETTERS and (name.startswith(w) or w.startswith(name))) for w in words)
 
 
 def _feet(readings: Readings, found: Sequence[VisibleComponent]) -> list[VisibleComponent]:

@@ -27,10 +27,15 @@ LEAST, EVEN = 10.0, 0.7
 """The jump is this percentile of the changes at all places, and at least this share of their median: heat moves the
 places by different amounts, a zero moves all equally."""
 NOISE, USUAL, OTHERS = 10.0, 5.0, 4.0
-"""A jump is at least this many times the scatter between runs, this many times the usual step of the other runs, and
-makes the run this many times farther from both neighbouring runs than any other run is from its own."""
-VISIBLE = 0.5
-"""The search ends at a jump below this share of `NOISE` times the scatter: none stands out then."""
+"""A jump is at least this many times the scatter of a change at one place, this many times the usual step of the other
+runs, and makes the run this many times farther from both neighbouring runs than any other run is from its own."""
+QUIET, CHANCE = 4.0, 1e-5
+"""Or this many times the scatter of a change at one place, if steps like those of the other runs are that large with
+this probability: few steps say less about the others."""
+SURE = 1.253
+"""Standard error of the median of normal values, over that of their mean."""
+VISIBLE = 0.75
+"""The search ends at a jump below this share of `QUIET` times the scatter: none stands out then."""
 RUNS_EACH, WAYS = 3, 4
 """Runs beyond the first two for each principal component of the temperatures; most of these components."""
 SEEN = 1e-6
@@ -161,7 +166,7 @@ def _jumps(readings: Readings, s: Series) -> list[_Jump]:
         return []
     changes = _changes(readings, s)
     found: list[_Jump] = []
-    least = VISIBLE * NOISE * changes.scatter if len(changes.change) else 0.0
+    least = VISIBLE * QUIET * changes.scatter if len(changes.change) else 0.0
     while len(changes.change) and sum(j.last - j.first + 1 for j in found) < max(1.0, MOVED * runs):
         largest = _largest(changes.without(found), found)
         if largest is None or abs(largest.by) < least:
@@ -243,7 +248,24 @@ def _stands_out(changes: _Changes, jump: _Jump) -> bool:
     usual = [abs(m) for k, m in steps.items() if k not in beside]
     if not usual and changes.runs == FEW_RUNS:  # the runs before and after are all that there is
         usual = [abs(float(np.median(change[into])) + float(np.median(change[back])))]
-    return bool(usual) and abs(own) > max(NOISE * scatter, USUAL * float(np.median(usual)), OTHERS * most)
+    places = float(np.median([len(moved[k]) for k in steps]))
+    least = min(NOISE * scatter, max(QUIET * scatter, _by_chance(usual, SURE * scatter / np.sqrt(places))))
+    return bool(usual) and abs(own) > max(least, USUAL * float(np.median(usual)), OTHERS * most)
+
+
+def _by_chance(usual: Sequence[float], noise: float) -> float:
+    """Size that steps between runs exceed with the probability `CHANCE`.
+
+    Args:
+        usual: sizes of steps that were read.
+        noise: standard error of one by the scatter of its places; a few steps may be smaller by chance.
+    """
+    from scipy.special import stdtrit
+
+    if not usual:
+        return np.inf
+    size = max(noise, float(np.sqrt(np.mean(np.square(usual)))))
+    return -size * float(stdtrit(len(usual), 0.5 * CHANCE))
 
 
 def _changes(readings: Readings, s: Series) -> _Changes:

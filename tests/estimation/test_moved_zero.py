@@ -163,3 +163,54 @@ def test_a_run_at_another_feed_is_none() -> None:
     speed = good.channels["d_x"] * np.where(fast, 80.0, 10.0)
     fed = replace(good, channels={**good.channels, "v_x": speed})
     assert not moved_zeros(clean([changed(fed, lambda run: np.where(run == run[0] + 6, 40.0, 0.0))]).readings)
+
+
+def noisy(seed: int, runs: int, warm: bool = False) -> Measurement:
+    """The first runs of a day, cold or warming up, whose readings scatter by 0.7 µm."""
+    thermal = HOT if warm else {"air_degc": 20.0, "swing_degc": 0.0, "walk_degc": 0.0}
+    m = laser(TRUTH, seed, noise={"white_um": 0.7}, thermal=thermal)
+    return changed(m, lambda run: np.where(run < run[0] + runs, 0.0, np.nan))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("warm", "runs", "first", "last", "by"),
+    [
+        (False, 9, 3, 3, 8.0),
+        (False, 9, 3, 4, -8.0),
+        (False, 18, 6, 8, 6.5),
+        (False, 7, 2, 2, 9.0),
+        (True, 9, 3, 3, 8.0),
+        (True, 9, 3, 4, -8.0),
+        (True, 18, 6, 8, 6.5),
+    ],
+)
+def test_it_is_named_where_run_means_show_it(
+    seed: int, warm: bool, runs: int, first: int, last: int, by: float
+) -> None:
+    """Oracle: the runs that were moved, by 9 to 13 times the noise; the others differ by noise and heat."""
+    good = noisy(200 + seed, runs, warm)
+    assert not moved_zeros(clean([good]).readings)
+    number = good.run - good.run[0]
+    bad = changed_at(good, np.where((number >= first) & (number <= last), by, 0.0))
+    (found,) = moved_zeros(clean([bad]).readings)
+    assert (found.run - good.run[0], found.last - good.run[0]) == (first, last)
+    assert found.by == pytest.approx(by, abs=1.0)
+
+
+def test_a_small_one_with_a_reason_is_none() -> None:
+    """Oracle: the reason is in the file: the air was warmer by 2 K in that run."""
+    good = noisy(210, 9)
+    mine = good.run - good.run[0] == 3
+    moved = changed_at(good, 8.0 * mine)
+    warm = replace(moved, channels={**good.channels, "T_air": good.channels["T_air"] + 2.0 * mine})
+    assert moved_zeros(clean([moved]).readings)
+    assert not moved_zeros(clean([warm]).readings)
+
+
+@pytest.mark.parametrize("noise", [{"drift_um": 2.0, "drift_tau_s": 2400.0}, {"run_offset_um": 1.0}])
+def test_runs_that_wander_have_none(noise: dict[str, float]) -> None:
+    """Oracle: nothing was done to eight files of nine runs, whose zero wanders or differs from run to run."""
+    for seed in range(8):
+        m = laser(TRUTH, 220 + seed, noise={"white_um": 0.3, **noise})
+        assert not moved_zeros(clean([changed(m, lambda run: np.where(run < run[0] + 9, 0.0, np.nan))]).readings)

@@ -36,7 +36,7 @@ from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect, Parameter
 from rtec.errors import RtecError
 from rtec.estimation import floor
-from rtec.estimation.candidates import EffectCandidate, Untried
+from rtec.estimation.candidates import EffectCandidate, Untried, same_effects
 from rtec.estimation.columns import slope
 from rtec.estimation.gls import inverse, resolved, solve
 from rtec.estimation.judge import Judgement
@@ -188,6 +188,7 @@ class _Answer:
             group=accepted and (rank == 1 or same),
             confused_with=confused,
             why_not="" if rank == 1 else self._why_not(t, winner, same and accepted, beside),
+            same_components=tuple(same_effects(self.readings, candidate.effect, self.s.model.effects)),
         )
 
     def _why_not(self, t: Refitted, winner: Refitted, same: bool, beside: bool) -> str:

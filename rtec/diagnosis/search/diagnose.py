@@ -20,7 +20,18 @@ from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.drift_alone import drift_makes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.refit import BESIDE, MORE, NOTHING_MUCH, Judged, Refits, Refitted, far_better, led, prepare
+from rtec.diagnosis.search.refit import (
+    BESIDE,
+    MORE,
+    NOTHING_MUCH,
+    Judged,
+    Refits,
+    Refitted,
+    far_better,
+    led,
+    prepare,
+    same_but_finer,
+)
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.shapes import groups
@@ -490,9 +501,9 @@ class _Search:
         return named, share, None if named else self._unknown(top)
 
     def _simpler(self, best: Refitted, tops: Sequence[Shaped]) -> Shaped | None:
-        """A hump or a step that is likelier than an effect with more numbers; None where there is none."""
+        """A hump, a step or several that is likelier than an effect with more numbers; None where there is none."""
         width = best.columns.shape[1]
-        places = [t for t in tops if t.shape.place is not None and 1 + t.shape.searched < width]
+        places = [t for t in tops if t.shape.places and len(t.shape.places) + t.shape.searched < width]
         local = max(places, key=lambda t: t.log_evidence, default=None)
         return local if local is not None and local.log_evidence > best.log_evidence + WITHIN else None
 
@@ -526,6 +537,8 @@ class _Search:
                 sure = sure and second.holds and second.drop > MOSTLY and (not rich or first.log_evidence > bar)
                 # An event at an instant helps by itself, or not at all.
                 sure = sure and not self.refits.at_instant(second.number)
+                one, other = (self.candidates[t.number].effect for t in (first, second))
+                sure = sure and not same_but_finer(one, other)
                 if sure and (best is None or second.log_evidence > best[1].log_evidence):
                     best = first, second
         top = self._top_shape

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.confounded import STEPS
 from rtec.diagnosis.search.screen import Projected
-from rtec.diagnosis.search.shapes import Ground, weigh
+from rtec.diagnosis.search.shapes import SHARP, Ground, LocalPlace, weigh
 from rtec.diagnosis.search.unnamed import Shaped
 from rtec.diagnosis.words import named, spoken, unit_of_channel
 from rtec.effects import Effect
@@ -101,7 +101,7 @@ class ExpressionSearch:
 class Form:
     """An expression with its non-linear parameters; the words describe variable `along`; a wave may grow."""
 
-    kind: Literal["polynomial", "hump", "step", "wave"]
+    kind: Literal["polynomial", "hump", "step", "steps", "wave"]
     expression: str
     searched: tuple[ExpressionSearch, ...] = ()
     along: int = 0
@@ -139,6 +139,16 @@ def _of_one(span: Span) -> Iterator[Form]:
     for kind, text, searched in _local(span):
         yield Form(kind, _sum([text]), searched)
         yield Form(kind, _sum([text, u]), searched)
+
+
+def _stepped(span: Span, places: Sequence[LocalPlace]) -> Form:
+    """Several steps; each may be anywhere between the values beside it."""
+    terms = [f"tanh(({span.name} - centre{i})/{_short(p.width)})" for i, p in enumerate(places, 1)]
+    searched = (
+        ExpressionSearch(f"centre{i}", p.centre - 0.5 * p.width / SHARP, p.centre + 0.5 * p.width / SHARP, (p.centre,))
+        for i, p in enumerate(places, 1)
+    )
+    return Form("steps", _sum(terms), tuple(searched))
 
 
 def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
@@ -250,10 +260,11 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
     known = shaped.fit.whitener
     whitener = known if few is readings else replace(known, readings=few)
     projected = Projected.of(whitener, base[keep], few.values)
+    forms = list(forms_of(spans, shaped.shape.period, harmonics))
     weighed = [
         t
         for component in _components(few, projected, shaped)
-        for form in forms_of(spans, shaped.shape.period, harmonics)
+        for form in ([_stepped(spans[0], shaped.shape.places)] if shaped.shape.more else forms)
         if (t := _best(few, projected, form, component)) is not None
     ]
     top = max((t.evidence for t in weighed), default=0.0)
@@ -350,6 +361,9 @@ def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Weighed,
         )
     if best.form.kind == "step":
         return f"a step at {name} ≈ {significant(theta['centre'] + first.zero)} {unit}"
+    if best.form.kind == "steps":
+        places = [significant(theta[p.name] + first.zero) for p in best.form.searched]
+        return f"steps at {name} ≈ {', '.join(places[:-1])} and {places[-1]} {unit}"
     if best.form.kind == "wave":
         grows = best.form.grows
         searched = len(best.form.searched[0].grid) > 1

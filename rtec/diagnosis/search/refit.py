@@ -200,6 +200,18 @@ QUICKEST, HALF_WAVES = 3.0, 60
 """A drift changes by half-waves down to its memory over the first; at most this many, so that long records fit."""
 
 
+FINENESS = ("knots_mm", "degrees")
+"""Arguments that say only how fine the curve of an effect is."""
+
+
+def same_but_finer(one: Effect, other: Effect) -> bool:
+    """Whether two are one effect with other knots or degrees: no two causes."""
+    if type(one) is not type(other) or one == other:
+        return False
+    mine, its = (e.model_dump(exclude=set(FINENESS)) for e in (one, other))
+    return mine == its
+
+
 def slow_slopes(noise: Whitener) -> Floats:
     """Columns of a slope along each axis that moves within runs, which changes as slowly as the drift, (m, p).
 

@@ -63,6 +63,7 @@ class Shape:
             the variable that changes its height.
         period: of a periodic shape, in the unit of its first variable; None for a smooth one.
         place: of a hump or a step; None for anything else.
+        more: places of the steps after the first, where there are several; all are as sharp.
     """
 
     group: str
@@ -70,11 +71,19 @@ class Shape:
     fine: tuple[int, ...]
     period: float | None = None
     place: LocalPlace | None = None
+    more: tuple[LocalPlace, ...] = ()
 
     @property
     def searched(self) -> int:
         """Number of non-linear parameters that were searched."""
+        if self.more:
+            return 1 + len(self.places)
         return 2 if self.place is not None else int(self.period is not None)
+
+    @property
+    def places(self) -> tuple[LocalPlace, ...]:
+        """The place of a hump or a step, or those of several steps; empty for anything else."""
+        return () if self.place is None else (self.place, *self.more)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -82,8 +91,10 @@ class Shape:
         return tuple(dict.fromkeys(map(plain_name, self.over)))
 
     @property
-    def kind(self) -> Literal["smooth", "periodic"]:
-        """Smooth or periodic."""
+    def kind(self) -> Literal["smooth", "periodic", "steps"]:
+        """Smooth, periodic, or several steps."""
+        if self.more:
+            return "steps"
         return "smooth" if self.period is None else "periodic"
 
 
@@ -120,7 +131,7 @@ class Ground:
         if shape.period is not None:
             return self._wave(shape) * mask
         if shape.place is not None:
-            return shape.place.curve(self.known[shape.over[0]])[:, None] * mask
+            return np.stack([p.curve(self.known[shape.over[0]]) for p in shape.places], axis=1) * mask
         if len(shape.over) == 1:
             return self._curve(shape.over[0], shape.fine[0]) * mask
         one, two = (self._curve(name, fine) for name, fine in zip(shape.over, shape.fine, strict=True))
@@ -139,7 +150,8 @@ class Ground:
 
     def _made(self, shapes: Sequence[Shape]) -> tuple[Floats, Ints]:
         """Waves along one variable, humps and steps are computed together: there are hundreds."""
-        if len({(s.group, s.over, s.place and s.place.form, s.period is None, s.fine) for s in shapes}) == 1:
+        one_kind = len({(s.group, s.over, s.place and s.place.form, s.period is None, s.fine) for s in shapes}) == 1
+        if one_kind and not any(s.more for s in shapes):
             value, mask = self.known[shapes[0].over[0]][:, None], self.groups[shapes[0].group][:, None]
             places = [s.place for s in shapes if s.place is not None]
             if places:
@@ -294,7 +306,7 @@ def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
         out += [*lines, *plain, *weigh_all(ground, projected, rich), *_waves(ground, projected, group, moving)]
         for name in moving:
             if _places(ground.known[name][mask]) >= FEWEST_PLACES:
-                out += _local(ground, projected, group, name)
+                out += [*_local(ground, projected, group, name), *_steps(ground, projected, group, name)]
     return sorted(out, key=lambda w: -w.log_evidence)
 
 
@@ -469,6 +481,72 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
             )
         out += best
     return out
+
+
+MOST_STEPS, EDGES, BETWEEN, SHARP = 4, 64, 3, 0.1
+"""Most steps in one curve, and most places where one is looked for: the widest gaps between places. Fewest places of a
+level between two steps; the width of a step as a share of its gap."""
+SWEEPS = 3
+
+
+def _steps(ground: Ground, projected: Projected, group: str, name: str) -> list[Weighed]:
+    """The best curve of sharp steps along a position, as of a rack in pieces; none where a single one is likelier.
+
+    The best two are found together, for each alone may be none beside a scale error; then each further one beside them.
+    """
+    value, mask = ground.known[name], ground.groups[group]
+    at = np.unique(np.round(value[mask], 3))
+    gaps = np.diff(at)[1:-1]  # the first and the last place alone are no level
+    edges = np.sort(np.argsort(-gaps, kind="stable")[:EDGES]) + 1
+    places = [LocalPlace("step", 0.5 * float(at[i] + at[i + 1]), SHARP * float(at[i + 1] - at[i])) for i in edges]
+    if len(places) < BETWEEN + 1:
+        return []
+    white = projected.whitener(np.stack([p.curve(value) for p in places], axis=1) * mask[:, None])
+    left = projected.take_out(white)
+    gram, along = left.T @ left, left.T @ projected.left
+    apart = np.abs(edges[:, None] - edges) >= BETWEEN
+
+    def explained(which: Sequence[int]) -> float:
+        some = gram[np.ix_(which, which)]
+        return float(along[list(which)] @ np.linalg.lstsq(some, along[list(which)], rcond=ABSORBED**2)[0])
+
+    def best_beside(fixed: Sequence[int]) -> list[int] | None:
+        """The fixed steps and the one that explains most beside them; None where there is no room."""
+        free = np.flatnonzero(apart[list(fixed)].all(axis=0))
+        return max(([*fixed, int(i)] for i in free), key=explained, default=None)
+
+    single = max(range(len(places)), key=lambda i: explained([i]))
+    shapes = [Shape(group, (name,), (0,), place=places[single])]
+    most = min(MOST_STEPS, len(at) // (2 * EACH))
+    chosen = _best_two(gram, along, apart) if most > 1 else None
+    while chosen is not None:
+        for _ in range(SWEEPS):
+            before = sorted(chosen)
+            for one in before:
+                chosen = best_beside([i for i in chosen if i != one]) or chosen
+            if sorted(chosen) == before:
+                break
+        first, *more = (places[i] for i in sorted(chosen))
+        shapes.append(Shape(group, (name,), (0,), place=first, more=tuple(more)))
+        chosen = best_beside(chosen) if len(chosen) < most else None
+    return [w for w in weigh_all(ground, projected, shapes)[:1] if w.shape.more]
+
+
+def _best_two(gram: Floats, along: Floats, apart: Bools) -> list[int] | None:
+    """Two columns that explain most together, of those that may be together; None where none may.
+
+    Args:
+        gram, along: of columns, (k, k), and with the readings, (k,).
+        apart: which may be together, (k, k).
+    """
+    size = np.diag(gram)
+    rest = size[:, None] * size - gram**2
+    clear = apart & (rest > ABSORBED**2 * size[:, None] * size)
+    if not clear.any():
+        return None
+    square = along[:, None] ** 2 * size - 2.0 * np.outer(along, along) * gram + along**2 * size[:, None]
+    found = np.where(clear, square / np.where(clear, rest, 1.0), -np.inf)
+    return [int(i) for i in np.unravel_index(int(np.argmax(found)), found.shape)]
 
 
 def _places(value: Floats) -> int:

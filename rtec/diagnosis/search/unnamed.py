@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes, weigh
+from rtec.estimation import floor
 from rtec.estimation.display import display_errors, within_display
-from rtec.estimation.gls import Fit
+from rtec.estimation.gls import Fit, solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
 from rtec.parallel import each
@@ -19,6 +20,8 @@ Floats = NDArray[np.float64]
 
 RICH, LEAN, PLAIN = 10**6, 8, 3
 """Largest number of coefficients of any, simple and plain shapes."""
+LEVEL = 0.25
+"""Steps leave less than this share of the variance of the places."""
 SHAPES = 4
 """Shapes without a name that are refitted from each of the two screens; half as many simple and plain ones."""
 
@@ -85,9 +88,28 @@ def best_shapes(
 
     def shows(s: Shaped) -> bool:
         part = s.columns @ s.fit.values[base.shape[1] :][: s.columns.shape[1]]
-        return not within_display(readings, base, part, errors)
+        return not within_display(readings, base, part, errors) and (not s.shape.more or _in_steps(whole, base, s))
 
     return [s for s in each(shaped, _picked(screens), len(readings)) if s.holds and shows(s)]
+
+
+def _in_steps(ground: Ground, base: Floats, s: Shaped) -> bool:
+    """Whether sharp steps leave little of what differs from place to place.
+
+    Every run reads the same places. The best few steps fit a part of any numbers there, and come again in every run.
+    """
+    readings, mask = ground.readings, ground.groups[s.shape.group]
+    place = np.unique(np.round(ground.known[s.shape.over[0]][mask], 3), return_inverse=True)[1]
+    count = np.bincount(place)
+
+    def spread(columns: Floats) -> float:
+        clean, values = floor.cleaned(readings, columns), floor.cleaned(readings, readings.values)
+        left = (values - clean @ solve(clean, values))[mask]
+        return float(np.sum((np.bincount(place, left) / count) ** 2))
+
+    free = len(count) - 1 - len(s.shape.places) - s.shape.searched
+    with_it, without = spread(np.concatenate([base, s.columns], axis=1)), spread(base)
+    return free > 0 and with_it / free < LEVEL * without / (len(count) - 1)
 
 
 def _picked(screens: Sequence[Sequence[Weighed]]) -> list[Weighed]:
@@ -102,7 +124,7 @@ def _picked(screens: Sequence[Sequence[Weighed]]) -> list[Weighed]:
         for most, few in ((RICH, SHAPES), (LEAN, SHAPES // 2), (PLAIN, SHAPES // 2)):
             fresh = 0
             for w in (w for w in likely if w.count <= most):
-                form = w.shape.place.form if w.shape.place is not None else w.shape.kind
+                form = w.shape.place.form if w.shape.place is not None and not w.shape.more else w.shape.kind
                 key = (w.shape.group, w.shape.variables, form, _richness(w))
                 if fresh == few:
                     break

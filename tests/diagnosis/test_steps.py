@@ -1,0 +1,120 @@
+"""An error that jumps at places, as at the joints of a rack. Oracle: the jumps that were put in."""
+
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.diagnosis.result import Diagnosis
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.search.refit import same_but_finer
+from rtec.effects import effect_class
+from rtec.effects.expression import expression_from_text
+from rtec.estimation.readings import read
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from tests.support.diagnosis_examples import effects, small_machine
+
+Floats = NDArray[np.float64]
+RUNS, TARGETS, NOISE_UM = 4, 49, 0.3
+STEP_MM = 190.0 / (TARGETS - 1)
+
+
+def line(error: Callable[[Floats], Floats], seed: int) -> Measurement:
+    """A laser along X, four times there and back over 49 targets at unequal steps; nothing warms."""
+    machine, rng = small_machine(), np.random.default_rng(seed)
+    at = np.linspace(5.0, 195.0, TARGETS)
+    at[1:-1] += rng.uniform(-0.3, 0.3, TARGETS - 2) * STEP_MM
+    x = np.tile(np.concatenate([at, at[::-1]]), RUNS)
+    ways = np.tile(np.repeat([1.0, -1.0], TARGETS), RUNS)
+    channels = {
+        "x": x,
+        "d_x": ways,
+        "T_bed": 20.0 + 0.02 * rng.standard_normal(len(x)),
+        "T_air": 20.0 + 0.02 * rng.standard_normal(len(x)),
+    }
+    values = error(x) + 0.02 * x + 1.5 * ways + NOISE_UM * rng.standard_normal(len(x))
+    made = make_instrument("laser_linear", {}, "X", None, machine, "test")
+    run, time_s = np.repeat(np.arange(1, RUNS + 1), 2 * TARGETS), np.linspace(0.0, 5.0 * len(x), len(x))
+    return Measurement("rack", made, machine, run, time_s, channels, {"reading_um": values})
+
+
+def found(m: Measurement) -> Diagnosis:
+    known = effects("scale,component=EXX,axis=X,k=0", "backlash,component=EXX,axis=X,B=0")
+    return diagnose(Model(small_machine(), known, name="known"), [m], draws=50, explain=True)
+
+
+def steps(jumps: dict[float, float]) -> Callable[[Floats], Floats]:
+    return lambda x: np.asarray(sum(by * (x > at) for at, by in jumps.items()))
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    "jumps",
+    [{65.0: 4.2, 132.0: -6.6}, {62.0: 2.4, 128.0: 2.4}, {50.0: 3.6, 100.0: -2.7, 150.0: 3.0}],
+    ids=["up and down", "both up", "three"],
+)
+def test_steps_are_named_with_their_places(jumps: dict[float, float], seed: int) -> None:
+    m = line(steps(jumps), seed)
+    d = found(m)
+    assert d.verdict == "unknown_effect", d.sentence
+    assert d.unknown is not None
+    assert (d.unknown.shape, d.unknown.channels, d.unknown.period) == ("steps", ("x",), None)
+    assert "depends on X, with steps at X ≈ " in d.sentence
+    where = [float(w) for w in re.findall(r"[\d.]+(?= and| mm|, )", d.unknown.where)]
+    assert where == pytest.approx(list(jumps), abs=1.6 * STEP_MM)
+    # Oracle: least squares with what is proposed leaves the noise.
+    machine = small_machine()
+    effect = expression_from_text(d.unknown.expression, d.unknown.parameters, d.unknown.feeds, machine)
+    columns = read([m]).columns(effect, {p.name: p.start for p in effect.nonlinear(machine)})
+    x, ways, values = m.channels["x"], m.channels["d_x"], m.readings["reading_um"]
+    whole = np.stack([np.ones(len(x)), x, ways, *columns.T], axis=1)
+    left = values - whole @ np.linalg.lstsq(whole, values, rcond=None)[0]
+    assert float(np.std(left)) < 1.1 * NOISE_UM
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        lambda x: 3.0 * np.sin(2.0 * np.pi * x / 47.0),
+        lambda x: 4.0 * (x / 100.0 - 1.0) ** 3,
+        lambda x: np.interp(x, [0.0, 60.0, 110.0, 150.0, 200.0], [0.0, 5.0, -3.0, 4.0, 0.0]),
+        lambda x: 0.0 * x,
+    ],
+    ids=["wave", "bow", "bends", "nothing"],
+)
+def test_what_is_no_step_is_not_called_one(error: Callable[[Floats], Floats]) -> None:
+    """Oracle: what was put in."""
+    d = found(line(error, 5))
+    assert d.unknown is None or d.unknown.shape != "steps", d.sentence
+
+
+KNOTS: Sequence[Sequence[float]] = ([0.0, 100.0, 200.0], [0.0, 50.0, 100.0, 200.0])
+
+
+def test_one_effect_with_more_knots_is_the_same_effect() -> None:
+    """Oracle: what the effects are written as."""
+
+    def made(name: str, **arguments: object):  # type: ignore[no-untyped-def]
+        return effect_class(name, "test").model_validate({"effect": name, "component": "EXX", **arguments})
+
+    few, many = (made("piecewise_position", axis="X", knots_mm=list(k)) for k in KNOTS)
+    assert same_but_finer(few, many)
+    assert not same_but_finer(few, few)
+    early, late = (made("axis_expansion", axis="X", sensor="T_bed", lag=lag) for lag in (False, True))
+    assert not same_but_finer(early, late)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_effect_is_named_twice_with_other_knots(seed: int) -> None:
+    """Oracle: the names. Steps that a few knots describe badly."""
+    heights = 4.0 * np.random.default_rng(seed).standard_normal(6)
+    d = found(line(lambda x: heights[np.searchsorted([30.0, 62.0, 95.0, 128.0, 163.0], x)], seed))
+    first = d.findings[0]
+    named = [m.fitted.effect for m in d.together]
+    named += [f.effect for f in (first, first.partner) if f is not None and first.accepted and not d.together]
+    kinds = [(e.effect, e.component) for e in named if e.effect == "piecewise_position"]
+    assert len(kinds) == len(set(kinds)), d.sentence
