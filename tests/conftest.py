@@ -42,7 +42,7 @@ def pytest_make_parametrize_id(val: object) -> str | None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One worker a core, and three for the tests that wait for most of their time: for the real clock, and two browsers.
+    """One worker a core, and three for the tests that mostly wait: for the real clock, and for two browsers.
 
     They begin first, for they are the largest groups; with fewer workers both cores are idle until they are done.
     """
