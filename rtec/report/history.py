@@ -10,7 +10,7 @@ import numpy as np
 
 from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.history import Errors
-from rtec.diagnosis.extend.improve import NEAREST, Improved
+from rtec.diagnosis.extend.improve import NEAREST, SHAPE, Improved
 from rtec.diagnosis.extend.record_event import words
 from rtec.diagnosis.words import drifts, sentence, spoken
 from rtec.model import Model
@@ -146,6 +146,8 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         )
         near = [", ".join(s.labels) for s in r.steps if any(n.startswith(NEAREST) for n in s.notes)]
         lead += f" {' and '.join(near)}: only the nearest of the catalogue to what was missing." if near else ""
+        shapes = [", ".join(s.labels) for s in r.steps if any(n.startswith(SHAPE) for n in s.notes)]
+        lead += f" {' and '.join(shapes)}: the shape of what no effect of the catalogue describes." if shapes else ""
     if r.events:
         lead = f"{lead} {words(r.events)}"
     steps = [

@@ -29,6 +29,7 @@ from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
+from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.estimation.judge import Judgement
 from rtec.estimation.one_pass import one_pass
@@ -60,14 +61,16 @@ DETERMINED = 3.0
 LOOSER = 3.0
 """By this factor a further temperature may enlarge the standard error of a number that is then near zero, or moves by
 `DETERMINED` standard errors."""
-MOSTLY = 0.75
-"""The nearest effect to what has no name is added where it removes this share of the held-out mean square error."""
+MOSTLY, NEARLY = 0.75, 1.1
+"""The nearest effect to what has no name, or its shape along axes, is added where it removes this share of the held-out
+mean square error; the shape only where the effect leaves more than this many times as much."""
 TRIED = 6
 """This many further temperatures are added on trial."""
 VISIBLE = 0.35
 """A further temperature must lower the error on held-out runs by more than this multiple of the noise floor, in
 squares: what hides in the noise is not worth an effect that names no cause and may act more strongly on another day."""
 NEAREST = "no effect of the catalogue describes what is missing"
+SHAPE = "nothing of the catalogue describes what is missing"
 FURTHER = (
     "this is a further temperature of an effect that the model has, for a body between several sensors; it was taken "
     "because it predicts held-out runs better, and it names no cause of its own"
@@ -262,11 +265,18 @@ class _Growth:
             return None  # the numbers would absorb the missing effect: position, direction and heat are confounded
         return made
 
-    def diagnosed(self, model: Model) -> Diagnosis:
-        """What a model misses."""
+    def diagnosed(self, model: Model, explain: bool = False) -> Diagnosis:
+        """What a model misses; also explained, as by `diagnose`."""
         seed, alpha, draws = self.chance
         return diagnose(
-            model, self.measurements, seed=seed, alpha=alpha, draws=draws, stage=self.stage, given=self.given
+            model,
+            self.measurements,
+            seed=seed,
+            alpha=alpha,
+            draws=draws,
+            explain=explain,
+            stage=self.stage,
+            given=self.given,
         )
 
     def takes_out(self, found: Diagnosis, model: Model, chosen: Finding | None = None) -> bool:
@@ -319,6 +329,10 @@ class _Growth:
                 continue
             found, known = known or self.diagnosed(model), None
             diagnoses.append(found)
+            unasked = model if ask else self._unasked(model, found, steps)
+            if unasked is not model:
+                model = unasked
+                continue
             if not _proposes(found):
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
             if not ask and found.verdict == "undecided":
@@ -326,11 +340,6 @@ class _Growth:
             choice = found.findings[0] if ask else _taken_alone(found, model.machine)
             if choice is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "ambiguous")
-            alone = ask or any(d.kind == "one_pass" for d in found.doubts)
-            several = model if alone else self._several(model, found, steps)
-            if several is not model:
-                model = several
-                continue
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
@@ -416,6 +425,39 @@ class _Growth:
         ordered = [replace(lead, accepted=found.findings[0].accepted), *(f for f in found.findings if f is not lead)]
         return replace(found, findings=tuple(replace(f, rank=i) for i, f in enumerate(ordered, 1)))
 
+    def _unasked(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
+        """The model with the shape of what has no name, or with effects that are named together; else as it is."""
+        shape = self._shape(model, found)
+        if shape is not None:
+            return self._taken(shape, steps)
+        decided = _proposes(found) and found.verdict != "undecided" and _taken_alone(found, model.machine) is not None
+        alone = any(d.kind == "one_pass" for d in found.doubts)
+        return self._several(model, found, steps) if decided and not alone else model
+
+    def _shape(self, model: Model, found: Diagnosis) -> Added | None:
+        """What has no name as an expression along axes, where it removes most; None where an effect does as well.
+
+        A shape over a temperature, the load or the time holds on this day only.
+        """
+        machine = model.machine
+        places = {c for a in machine.axes for c in (a.channel, a.direction_channel)}
+        if found.unknown is None or not set(found.unknown.channels) <= places or _in_doubt(found):
+            return None
+        unknown = self.diagnosed(model, explain=True).unknown
+        if unknown is None or not unknown.expression:
+            return None
+        effect = expression_from_text(unknown.expression, unknown.parameters, unknown.feeds, machine)
+        added = self._gaining(model, [new_effect(effect, model)])
+        if added is None:
+            return None
+        before, after = (max(e.held_out**2 - added.floor**2, 0.0) for e in (added.before, added.after))
+        named = self._first_gain(model, found, [found.findings[0]]) if _proposes(found) else None
+        as_good = named is not None and named.after.held_out <= NEARLY * added.after.held_out
+        if after > (1.0 - MOSTLY) * before or as_good:
+            return None
+        shape = f"{SHAPE}; this is its shape over {' and '.join(unknown.channels)} as it was read, and names no cause"
+        return replace(added, notes=(shape, *added.notes))
+
     def _several(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
         """The model with the effects that are named together, in turn; one that gains nothing alone waits for the next.
 
@@ -495,8 +537,12 @@ def _proposes(found: Diagnosis) -> bool:
     if not found.findings or found.findings[0].accepted:
         return bool(found.findings)
     unnamed = found.verdict == "unknown_effect" and found.adequacy is not None
-    doubted = any(d.kind != "other_machine" for d in found.doubts)
-    return unnamed and found.findings[0].heldout_drop >= MOSTLY and not doubted
+    return unnamed and found.findings[0].heldout_drop >= MOSTLY and not _in_doubt(found)
+
+
+def _in_doubt(found: Diagnosis) -> bool:
+    """Whether something about the record itself is in doubt."""
+    return any(d.kind != "other_machine" for d in found.doubts)
 
 
 def _nearest_note(found: Diagnosis) -> tuple[str, ...]:
