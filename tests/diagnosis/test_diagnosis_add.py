@@ -349,7 +349,7 @@ def test_numbers_that_a_drift_hides_are_refitted_with_what_is_new(seed: int, eff
 def test_an_improvement_that_ends_says_what_slow_drift_remains() -> None:
     """Oracle: the drift that is simulated; play is hidden beside it."""
     record = laser(
-        ["backlash,component=EXX,axis=X,B=8"], 5, noise={"white_um": 0.3, "drift_um": 1.0, "drift_tau_s": 2400.0}
+        ["backlash,component=EXX,axis=X,B=8"], 2, noise={"white_um": 0.3, "drift_um": 1.0, "drift_tau_s": 2400.0}
     )
     done = improve(Model(small_machine(), name="empty"), [record], draws=50)
     assert [s.labels for s in done.steps] == [("backlash(EXX, X)",)]

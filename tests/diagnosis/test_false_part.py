@@ -63,7 +63,9 @@ def test_no_angle_is_named_for_what_the_direction_of_another_axis_does() -> None
     assert d.unknown is not None
     assert set(d.unknown.channels) == {"x", "d_y"}
     assert not d.together
-    assert improve(known(), [m], draws=50).steps == ()
+    done = improve(known(), [m], draws=50)
+    assert [f.effect.effect for f in done.model.effects] == ["scale", "expression"], "its shape, and no angle"
+    assert done.steps[0].after.held_out < 1.1 * NOISE_UM
 
 
 def test_an_angle_that_is_there_is_named() -> None:

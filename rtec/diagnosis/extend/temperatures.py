@@ -69,7 +69,7 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
     for effect, (_, theta, columns) in best.items():
         # A temperature that hardly changed, far from the reference, would act like a shape that follows no temperature.
         sensor = getattr(effect, "sensor", None)
-        still = few.at_constant(effect, theta, sensor) if sensor is not None else base[:, :0]
+        still = few.at_constant(_grows(effect, judged.model), theta, sensor) if sensor is not None else base[:, :0]
         if _likelier(noise, base, still) < enough:  # else that shape is missing, and would be named first
             gains[effect] = _likelier(noise, np.concatenate([base, still], axis=1), columns)
     most = max(gains.values(), default=0.0)
@@ -84,14 +84,21 @@ def fixed_end(model: Model) -> str | None:
     shift = last.effect
     if not isinstance(shift, MountExpansion):
         return None
-    for f in others:
-        grows = f.effect
-        if not isinstance(grows, AxisExpansion) or grows.component != shift.component:
-            continue
-        if (grows.sensor, grows.lag) == (shift.sensor, shift.lag):
-            end_mm = grows.fixed_mm - 1000.0 * last.values["k"] / f.values["k"]
-            return f"with it the fixed end of {f.label} is at {end_mm:.0f} mm instead of {grows.fixed_mm:.0f} mm"
-    return None
+    grows = _grows(shift, replace(model, effects=tuple(others)))
+    if not isinstance(grows, AxisExpansion):
+        return None
+    f = next(f for f in others if f.effect == grows)
+    end_mm = grows.fixed_mm - 1000.0 * last.values["k"] / f.values["k"]
+    return f"with it the fixed end of {f.label} is at {end_mm:.0f} mm instead of {grows.fixed_mm:.0f} mm"
+
+
+def _grows(effect: Effect, model: Model) -> Effect:
+    """The expansion of the model whose fixed end a shift by its temperature moves; any other effect itself."""
+    if not isinstance(effect, MountExpansion):
+        return effect
+    along = [f.effect for f in model.effects if isinstance(f.effect, AxisExpansion)]
+    mine = (effect.component, effect.sensor, effect.lag)
+    return next((e for e in along if (e.component, e.sensor, e.lag) == mine), effect)
 
 
 def hardly_varied(model: Model, effect: Effect, readings: Readings) -> bool:

@@ -231,7 +231,7 @@ class _Search:
         refitted = _first(pair or (), _first(chain[:1], refitted))
         if pair is not None:
             share, unknown = 1.0, None
-        if unknown is not None and not chain and (self._of_instrument(unknown) or self._of_files(unknown)):
+        if unknown is not None and not chain and self._of_no_machine(unknown, best if accepted else None):
             unknown = None
         named = named or bool(chain) or pair is not None
         undecided = None if named else self._undecided(refitted)
@@ -407,6 +407,12 @@ class _Search:
     def _channels(self, t: Refitted) -> tuple[str, ...]:
         return self.candidates[t.number].effect.channels(self.model.machine)
 
+    def _of_no_machine(self, unknown: Unknown, best: Refitted | None) -> bool:
+        """Whether the instrument, a change between files, or where no effect is accepted slow drift, makes a shape."""
+        if self._of_instrument(unknown) or self._of_files(unknown):
+            return True
+        return best is None and self._top_shape is not None and drift_makes(self._top_shape, self.refits, self.rng)
+
     def _of_instrument(self, unknown: Unknown) -> bool:
         """Whether what has no name follows the time alone, or no better than an instrument that warms up: a doubt."""
         top, width = self._top_shape, self.prepared.base.shape[1]
@@ -483,9 +489,7 @@ class _Search:
         self._tops = tops
         if best is None:
             sure = top is not None and top.log_evidence > OVERWHELMING and self._many
-            if top is None or not sure or drift_makes(top, self.refits, self.rng):
-                return False, None, None
-            return False, None, self._unknown(top)
+            return False, None, self._unknown(top) if sure and top is not None else None
         share = adequacy(best.columns, tops, self.prepared.base, self.readings)
         local = self._simpler(best, tops)
         if local is not None:
