@@ -1,4 +1,4 @@
-"""Errors that no effect of the catalogue describes: `improve` adds the nearest one if it removes most, and says so.
+"""Errors that no effect of the catalogue describes: `improve` adds the nearest one, or the shape, if it removes most.
 
 Oracle: what the readings were made of, on another day.
 """
@@ -53,6 +53,18 @@ def ridge(x: Floats, nut: Floats, time_s: Floats) -> Floats:
     return np.asarray(6.0 * np.exp(-(((x - 100.0 - 50.0 * nut) / 60.0) ** 2)), dtype=np.float64)
 
 
+def bump(x: Floats, nut: Floats, time_s: Floats) -> Floats:
+    """A dent in a guideway."""
+    del nut, time_s
+    return np.asarray(8.0 * np.exp(-(((x - 330.0) / 40.0) ** 2)), dtype=np.float64)
+
+
+def joints(x: Floats, nut: Floats, time_s: Floats) -> Floats:
+    """A rack in three pieces."""
+    del nut, time_s
+    return np.asarray(14.0 * (x > 200.0) - 22.0 * (x > 410.0), dtype=np.float64)
+
+
 def day(law: object, seed: int, duty: float) -> Measurement:
     """Fourteen runs there and back in five hours; the nut is warmed three hours by `duty` times 8 °C."""
     rng = np.random.default_rng(seed)
@@ -99,3 +111,21 @@ def test_the_nearest_is_added_where_it_removes_most(law: object, most: float, fi
 def test_what_has_no_near_effect_gets_none() -> None:
     done = improve(Model(MACHINE, (), name="empty"), [day(ridge, 3, 1.0)], draws=50)
     assert (done.reason, done.steps) == ("unknown_effect", ())
+
+
+@pytest.mark.parametrize("law", [bump, joints])
+def test_the_shape_is_added_where_no_effect_is_as_good(law: object) -> None:
+    done = improve(Model(MACHINE, (), name="empty"), [day(law, 1, 1.0)], draws=50)
+    assert done.diagnoses[0].verdict == "unknown_effect"
+    assert [f.effect.effect for f in done.model.effects] == ["expression"]
+    assert "names no cause" in done.steps[0].notes[0]
+    assert "expression(EXX): the shape of what no effect of the catalogue" in improved_page(done, figures=False).lead
+    other = clean([day(law, 2, 0.5)], 20.0)
+    assert Judgement(done.model, other).residual < 1.1 * NOISE_UM
+
+
+@pytest.mark.parametrize("law", [half_warm, ridge])
+def test_no_shape_over_a_temperature_is_added(law: object) -> None:
+    """On another day it would be another one."""
+    done = improve(Model(MACHINE, (), name="empty"), [day(law, 1, 1.0)], draws=50)
+    assert not any(f.effect.effect == "expression" for f in done.model.effects)
