@@ -69,6 +69,8 @@ TRIED = 6
 VISIBLE = 0.35
 """A further temperature must lower the error on held-out runs by more than this multiple of the noise floor, in
 squares: what hides in the noise is not worth an effect that names no cause and may act more strongly on another day."""
+BY_FAR = 0.95
+"""What a diagnosis names goes before a further temperature where it leaves less than this share of what that leaves."""
 NEAREST = "no effect of the catalogue describes what is missing"
 SHAPE = "nothing of the catalogue describes what is missing"
 FURTHER = (
@@ -391,11 +393,11 @@ class _Growth:
         return (None, found) if self._predicts_better(model, found, further) else (further, None)
 
     def _predicts_better(self, model: Model, found: Diagnosis, further: Added) -> bool:
-        """Whether what a diagnosis names predicts held-out runs better than a further temperature."""
+        """Whether what a diagnosis names predicts held-out runs clearly better than a further temperature."""
         if found.verdict not in ("missing_effect", "ambiguous") or not _proposes(found):
             return False
         added = self._first_gain(model, found, [found.findings[0]])
-        return added is not None and added.after.held_out < further.after.held_out
+        return added is not None and added.after.held_out < BY_FAR * further.after.held_out
 
     def holding(self, model: Model, found: Diagnosis) -> Diagnosis | None:
         """The same, the candidate first beside which the model's own numbers hold, though they look out of date.

@@ -32,7 +32,7 @@ from rtec.model import FittedEffect, Model
 Floats = NDArray[np.float64]
 
 LIKELIER = 50.0
-"""How many times likelier the readings must become, for each temperature that is tried."""
+"""How many times likelier the readings must become, for each temperature, or for each fixed end, that is tried."""
 
 ALIKE = 3.0
 """Gains in log likelihood within such a step are equally good: then the error on held-out runs decides."""
@@ -65,16 +65,20 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
         if effect not in best or squares < best[effect][0]:
             best[effect] = squares, theta, columns
     gains: dict[Effect, float] = {}
-    enough = math.log(LIKELIER * max(len(best), 1))
+    ends = sum(isinstance(e, MountExpansion) for e in best)
+
+    def enough(effect: Effect) -> float:
+        return math.log(LIKELIER * max(ends if isinstance(effect, MountExpansion) else len(best) - ends, 1))
+
     for effect, (_, theta, columns) in best.items():
         # A temperature that hardly changed, far from the reference, would act like a shape that follows no temperature.
         sensor = getattr(effect, "sensor", None)
         still = few.at_constant(_grows(effect, judged.model), theta, sensor) if sensor is not None else base[:, :0]
-        if _likelier(noise, base, still) < enough:  # else that shape is missing, and would be named first
+        if _likelier(noise, base, still) < enough(effect):  # else that shape is missing, and would be named first
             gains[effect] = _likelier(noise, np.concatenate([base, still], axis=1), columns)
     most = max(gains.values(), default=0.0)
     for effect in sorted(gains, key=lambda e: ((most - gains[e]) // ALIKE, best[e][0])):
-        if gains[effect] >= enough:
+        if gains[effect] >= enough(effect):
             yield new_effect(effect, judged.model, best[effect][1])
 
 
