@@ -196,7 +196,8 @@ def improve(
     Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
 
     First it refits the model's own numbers if that lowers the error on held-out runs by 2 % or more. It asks before
-    each effect, unless --yes is given, and writes the model after each step.
+    each effect, unless --yes is given, and writes the model after each step. With --yes it adds the nearest effect to
+    what has no name, or its shape along the axes, if that removes most of it.
     """
     from rtec import api
     from rtec.cli.common import interruptible, kept, show, stages

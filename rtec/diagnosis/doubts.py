@@ -259,12 +259,7 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
         return None
     near = NEAR_FLOOR * _whole_noise(judged)
     if found.kind == "late_temperatures" and not met:
-        if any(m.fingerprint in judged.model.measurements.values() for m in judged.readings.measurements):
-            return None
-        if found.residual > min(BETTER * judged.residual, NEAR_FLOOR * judged.noise_floor):
-            return None
-        if _delay_does(judged, found):
-            return replace(found, unless=SENSORS_FOLLOW) if "earlier" in found.edit else None
+        return _by_another_clock(judged, found)
     if found.kind == "wrong_channel":
         # A refit of the numbers compensates a factor.
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
@@ -272,6 +267,17 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
         drifts = found.residual > NEAR_FLOOR * judged.noise_floor
         return None if drifts and found.kind == "swapped_sensors" and _two_leave_less(judged, found) else found
     return found if found.fatal and _as_in_the_fit(judged, found) else None
+
+
+def _by_another_clock(judged: Judgement, found: "_Edit") -> "_Edit | None":
+    """Late temperatures where the model never met other readings: a delay that it lacks moves them as well."""
+    fitted = any(m.fingerprint in judged.model.measurements.values() for m in judged.readings.measurements)
+    if fitted or found.residual > min(BETTER * judged.residual, NEAR_FLOOR * judged.noise_floor):
+        return None
+    if not _delay_does(judged, found):
+        return found
+    # No part leads its sensor by much, but a sensor may follow its part.
+    return replace(found, unless=SENSORS_FOLLOW) if "earlier" in found.edit else None
 
 
 def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
