@@ -6,7 +6,7 @@ import pytest
 from tests.bench.linuxcnc import measured
 from tests.support.linuxcnc_session import why_not
 
-pytestmark = [pytest.mark.xdist_group("linuxcnc"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
+pytestmark = [pytest.mark.xdist_group("others"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
 
 
 def test_every_servo_period_counts_without_rtec_and_with_it() -> None:

@@ -30,7 +30,7 @@ from rtec_drivers.pty_peer import PtyPeer
 from tests.support.modbus_peer import FakeSlave, line
 from tests.support.offset_controller import OffsetController
 
-pytestmark = pytest.mark.xdist_group("lines")
+pytestmark = pytest.mark.xdist_group("real-clock")
 
 
 @dataclass

@@ -12,7 +12,7 @@ from rtec.machine import load_machine
 from tests.support.linuxcnc_plant import true_model
 from tests.support.linuxcnc_session import CONFIGS, Session, why_not
 
-pytestmark = [pytest.mark.xdist_group("linuxcnc"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
+pytestmark = [pytest.mark.xdist_group("others"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
 
 FORMAT_OF = {"X": "linuxcnc", "Y": "linuxcnc-type-1", "Z": "linuxcnc"}
 DEGC = {"T_x": 26.0, "T_y": 25.0, "T_z": 24.0}

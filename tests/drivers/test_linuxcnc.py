@@ -17,7 +17,7 @@ from tests.support.conformance import DriverLaws, Rig
 from tests.support.linuxcnc_loop import Floats, LoopThread, run_files, start_daemon, until_pins
 from tests.support.linuxcnc_session import CONFIGS, Session, why_not
 
-pytestmark = [pytest.mark.xdist_group("linuxcnc"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
+pytestmark = [pytest.mark.xdist_group("others"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from tests.support.linuxcnc_loop import LoopThread
 from tests.support.linuxcnc_session import Session, why_not
 
-pytestmark = [pytest.mark.xdist_group("linuxcnc"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
+pytestmark = [pytest.mark.xdist_group("others"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
 
 AXES = ("x", "z")
 PLACES = ("G0 X-60 Z60", "G0 X60 Z-60")

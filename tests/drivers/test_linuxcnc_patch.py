@@ -140,7 +140,7 @@ def test_what_cannot_be_adopted_is_said_and_leaves_nothing(
     assert sorted(f.name for f in tmp_path.iterdir()) == ["mine", "x.hal"]
 
 
-@pytest.mark.xdist_group("linuxcnc")
+@pytest.mark.xdist_group("others")
 @pytest.mark.skipif(bool(why_not()) or not SAMPLE.exists(), reason=why_not() or "LinuxCNC's samples are not there")
 def test_linuxcncs_own_sample_runs_with_it(tmp_path: Path) -> None:
     """Oracle: LinuxCNC: the drive's command has the offset, and the position that LinuxCNC shows has not."""

@@ -14,7 +14,7 @@ import pytest
 from tests.support.linuxcnc_loop import Floats, LoopThread
 from tests.support.linuxcnc_session import BRIDGE, CONFIGS, Session, why_not
 
-pytestmark = [pytest.mark.xdist_group("linuxcnc"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
+pytestmark = [pytest.mark.xdist_group("others"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
 
 AXES = "xz"
 PER_MM = 1000

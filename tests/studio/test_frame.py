@@ -21,7 +21,7 @@ from rtec.tasks import foreign
 from rtec.tasks.folder import Folder
 from rtec.tasks.jobs import Job
 
-pytestmark = pytest.mark.xdist_group("studio")
+pytestmark = pytest.mark.xdist_group("others")
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from rtec.errors import RtecError
 from rtec.tasks import jobs
 from rtec.tasks.jobs import Cancelled, Job, Reporter, _work
 
-pytestmark = pytest.mark.xdist_group("studio")
+pytestmark = pytest.mark.xdist_group("others")
 
 
 @pytest.fixture(autouse=True)

@@ -27,7 +27,7 @@ from tests.support import setups
 from tests.support.conformance import soon
 from tests.support.telemetry_rig import Broker, LivingDaemon, Subscriber, certificates, served
 
-pytestmark = pytest.mark.xdist_group("lines")
+pytestmark = pytest.mark.xdist_group("real-clock")
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from tests.support.conformance import soon
 from tests.support.control_rig import LONG_S, free_place
 from tests.support.telemetry_rig import LivingDaemon, served
 
-pytestmark = pytest.mark.xdist_group("lines")
+pytestmark = pytest.mark.xdist_group("real-clock")
 
 NS = "{urn:mtconnect.org:MTConnectDevices:1.4}"
 TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z")

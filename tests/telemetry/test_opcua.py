@@ -38,7 +38,7 @@ from tests.support.control_rig import LONG_S, free_place
 from tests.support.telemetry_rig import LivingDaemon, certificates, served
 
 pytestmark = [
-    pytest.mark.xdist_group("lines"),
+    pytest.mark.xdist_group("real-clock"),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),  # of the client that is refused
 ]

@@ -26,7 +26,7 @@ from tests.support.conformance import soon
 from tests.support.control_rig import LONG_S, Line, free_place
 from tests.support.telemetry_rig import Broker, LivingDaemon, Subscriber, certificates
 
-pytestmark = pytest.mark.xdist_group("lines")
+pytestmark = pytest.mark.xdist_group("real-clock")
 
 
 def run_file(folder: Path, **telemetry: dict[str, Any]) -> Path:

@@ -18,7 +18,7 @@ from tests.studio.studio_rig import RunningStudio, foreign, needs_browser, runni
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 MB = 1 << 20
 WARM_MS = 5_000

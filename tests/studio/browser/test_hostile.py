@@ -11,7 +11,7 @@ from tests.studio.studio_rig import MACHINE, RunningStudio, Watched, needs_brows
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, FilePayload, Route
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 ATTACK = "<img src=x onerror=alert(1)>"
 HEADER = f'Zeit [s];X Soll [mm];"<b>Abweichung</b> [um]";"{ATTACK}"'
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rtec.diagnosis.compare.result import Comparison
     from rtec.model import Model
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 MILL = ROOT / "configs" / "machines" / "vertical-mill.toml"
 CIRCLE = ("plane=XY", "centre_mm=[250,200,300]", "radius_mm=100", "direction=ccw", "feed_mm_min=1000")

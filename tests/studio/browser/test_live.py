@@ -15,7 +15,7 @@ from tests.studio.studio_rig import Watched, live_config, needs_browser, running
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 
 FADED = """[...document.querySelectorAll(".bar")]

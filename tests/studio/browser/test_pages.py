@@ -15,7 +15,7 @@ from tests.studio.studio_rig import RunningStudio, Watched, needs_browser
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 PAGES = ("Measurements", "Import", "Compare", "Diagnose", "Add and watch", "Explore", "Live", "Report")
 WIDTHS = ((820, 1180), (1180, 820), (1280, 960), (1920, 1080), (2560, 1440))

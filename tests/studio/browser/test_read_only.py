@@ -18,7 +18,7 @@ from tests.studio.studio_rig import MACHINE, RunningStudio, Watched, needs_brows
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, FilePayload
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 MAY_NOT = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-dac_override,-dac_read_search")
 """Root may write everything; without these rights it is a user like others."""

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from rtec.machine import Machine
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 ENDS = "(e) => Object.fromEntries(['x', 'y'].map((a) => [a, [...e._fullLayout[a + 'axis'].range]]))"
 MARKED = "(e) => e._fullData.reduce((n, t) => n + (t.selectedpoints?.length ?? 0), 0)"

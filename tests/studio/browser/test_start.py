@@ -11,7 +11,7 @@ from tests.studio.studio_rig import needs_browser, running_studio, tab
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 
 def test_every_file_that_is_named_beforehand_is_used_and_loaded_once(browser: "Browser", tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from tests.studio.studio_rig import (
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 BESIDE = "beam_offset_mm=[0,0,150]"
 

@@ -18,7 +18,7 @@ from tests.studio.studio_rig import MACHINE, RunningStudio, foreign, needs_brows
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
 DASH = "-o.csv"
 
