@@ -81,7 +81,7 @@ squares, is clearly better."""
 ALIKE = 1.5
 """Temperatures by another clock are asked about where an effect leaves more than this many times what they leave."""
 GROWS = "something that grows shifts the readings as much"
-SENSORS_FOLLOW = "the sensors follow their parts as late"
+SENSORS_LATE = "the sensors warm up that much later than their parts"
 FAR_LESS = 0.75
 """Or, with the model's own numbers refitted, below this share of what the edit leaves."""
 THIN = 200
@@ -276,8 +276,7 @@ def _by_another_clock(judged: Judgement, found: "_Edit") -> "_Edit | None":
         return None
     if not _delay_does(judged, found):
         return found
-    # No part leads its sensor by much, but a sensor may follow its part.
-    return replace(found, unless=SENSORS_FOLLOW) if "earlier" in found.edit else None
+    return replace(found, unless=found.rival) if found.rival else None
 
 
 def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
@@ -397,7 +396,14 @@ Replaced = dict[str, Callable[[State], Floats]]
 
 @dataclass(frozen=True)
 class _Edit:
-    """An edit of the recorded channels, and the residual of the model with it; and what else may do the same."""
+    """An edit of the recorded channels, and the residual of the model with it.
+
+    Attributes:
+        residual: of the model with the edit.
+        kind, edit, suspect, check: what it is, in words.
+        unless: what else does the same, in words; empty for nothing.
+        rival: what else does the same if an effect describes the readings as well; empty for that effect alone.
+    """
 
     residual: float
     kind: Kind
@@ -405,6 +411,7 @@ class _Edit:
     suspect: str
     check: str
     unless: str = ""
+    rival: str = ""
 
     @property
     def fatal(self) -> bool:
@@ -618,6 +625,7 @@ class _Edits:
             f"all temperatures moved {abs(by) / 60.0:.0f} min {way}",
             "their clock may not be that of the readings",
             "the time of both",
+            rival=SENSORS_LATE if by > 0.0 else "",
         )
 
     def _within(self, by_s: float) -> "_Edits":

@@ -147,7 +147,10 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         near = [", ".join(s.labels) for s in r.steps if any(n.startswith(NEAREST) for n in s.notes)]
         lead += f" {' and '.join(near)}: only the nearest of the catalogue to what was missing." if near else ""
         shapes = [", ".join(s.labels) for s in r.steps if any(n.startswith(SHAPE) for n in s.notes)]
-        lead += f" {' and '.join(shapes)}: the shape of what no effect of the catalogue describes." if shapes else ""
+        are = "is" if len(shapes) == 1 else "are"
+        lead += (
+            f" {' and '.join(shapes)} {are} the shape of what no effect of the catalogue describes." if shapes else ""
+        )
     if r.events:
         lead = f"{lead} {words(r.events)}"
     steps = [

@@ -119,7 +119,7 @@ def test_the_shape_is_added_where_no_effect_is_as_good(law: object) -> None:
     assert done.diagnoses[0].verdict == "unknown_effect"
     assert [f.effect.effect for f in done.model.effects] == ["expression"]
     assert "names no cause" in done.steps[0].notes[0]
-    assert "expression(EXX): the shape of what no effect of the catalogue" in improved_page(done, figures=False).lead
+    assert "expression(EXX) is the shape of what no effect of the catalogue" in improved_page(done, figures=False).lead
     other = clean([day(law, 2, 0.5)], 20.0)
     assert Judgement(done.model, other).residual < 1.1 * NOISE_UM
 

@@ -122,11 +122,11 @@ def test_a_model_by_hand_is_asked_about_the_clock_as_well() -> None:
 
 
 def test_a_part_before_its_sensor_may_be_the_clock() -> None:
-    """In a smooth warm-up a sensor that follows its part and a clock that is late look the same."""
+    """In a smooth warm-up a sensor that is warm after its part and a clock that is late look the same."""
     by_hand = Model(small_machine(), effects(*KNOWN), name="by hand")
     d = diagnose(by_hand, [late(day(KNOWN, 12), 1500.0)], draws=50)
     assert [(x.kind, x.fatal) for x in d.doubts] == [("late_temperatures", False)]
-    assert "unless the sensors follow their parts as late" in d.doubts[0].message
+    assert "unless the sensors warm up that much later than their parts" in d.doubts[0].message
     assert d.findings[0].effect.effect == "axis_expansion"
 
 

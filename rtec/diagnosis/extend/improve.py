@@ -29,6 +29,7 @@ from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
+from rtec.diagnosis.words import named
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.estimation.judge import Judgement
@@ -453,11 +454,12 @@ class _Growth:
         if added is None:
             return None
         before, after = (max(e.held_out**2 - added.floor**2, 0.0) for e in (added.before, added.after))
-        named = self._first_gain(model, found, [found.findings[0]]) if _proposes(found) else None
-        as_good = named is not None and named.after.held_out <= NEARLY * added.after.held_out
+        nearest = self._first_gain(model, found, [found.findings[0]]) if _proposes(found) else None
+        as_good = nearest is not None and nearest.after.held_out <= NEARLY * added.after.held_out
         if after > (1.0 - MOSTLY) * before or as_good:
             return None
-        shape = f"{SHAPE}; this is its shape over {' and '.join(unknown.channels)} as it was read, and names no cause"
+        over = " and ".join(map(named, unknown.channels))
+        shape = f"{SHAPE}; this is its shape over {over}, as it was read, and names no cause"
         return replace(added, notes=(shape, *added.notes))
 
     def _several(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
