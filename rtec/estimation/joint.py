@@ -174,11 +174,7 @@ def _weighed(
     thetas = [dict(f.theta) for f in effects]
     columns = work.columns(thetas)
     whitener = find_noise(readings, columns, least=least)
-    if loose is None:
-        # Noise of a sensor pulls quick changes, slow drift pulls slow ones; a number that has changed changes both.
-        by_all, _ = plain_fit(readings, whitener, columns)
-        unchanged = _likeliest(effects, readings, by_all, columns) == 1.0
-        loose = 1.0 if unchanged else _likeliest(effects, readings, whitener, columns)
+    loose = _looseness(effects, readings, whitener, columns) if loose is None else loose
     for _ in range(ROUNDS if free else 1):
         if free:
             thetas = _polish(work, whitener, thetas, free)
@@ -261,6 +257,16 @@ def _prior(effects: Sequence[FittedEffect], readings: Readings, loose: float) ->
             spread.append(loose * error if error else NEW * max(p.typical, abs(value)))
     count = readings.setup.shape[1]
     return np.array([*centre, *[0.0] * count]), np.array([*spread, *[np.inf] * count])
+
+
+def _looseness(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> float:
+    """The likeliest looseness; one, too, where ordinary least squares shows no change.
+
+    Noise of a sensor pulls quick changes, slow drift pulls slow ones; a number that has changed changes both.
+    """
+    by_all, _ = plain_fit(readings, whitener, columns)
+    unchanged = _likeliest(effects, readings, by_all, columns) == 1.0
+    return 1.0 if unchanged else _likeliest(effects, readings, whitener, columns)
 
 
 def _likeliest(
