@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtec.diagnosis.extend.add import Added
+from rtec.diagnosis.extend.add import Added, not_determined
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import NEAREST, SHAPE, Improved
 from rtec.diagnosis.extend.record_event import words
@@ -172,9 +172,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
 def _why_ended(r: Improved) -> str:
     """Why the improvement ended, in words."""
     if r.reason == "no_gain" and r.cancelling:
-        if len(r.cancelling) == 1:
-            return f"these readings do not determine {r.cancelling[0]} beside the other effects of the model"
-        return f"these readings determine only what {' and '.join(r.cancelling)} make together"
+        return not_determined(r.cancelling)
     if r.reason == "unknown_effect" and r.steps:
         return "what is still missing is not in the catalogue"
     if r.reason == "nothing_missing" and r.steps:

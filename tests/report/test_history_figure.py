@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation, Text
 
+from rtec.diagnosis.extend.add import Added, refused
+from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import Improved
 from rtec.model import Model
 from rtec.model.history import History, steps_of
@@ -91,4 +93,6 @@ def test_stairs_begin_anew_where_other_measurements_begin() -> None:
 )
 def test_what_is_not_determined_is_not_said_of_one_thing_together(names: tuple[str, ...], said: str) -> None:
     """Oracle: one thing makes nothing "together"; the other is in the model already."""
-    assert _why_ended(Improved(Model(small_machine()), (), (), "no_gain", cancelling=names)) == said
+    model, errors = Model(small_machine()), Errors(1.0, 1.0, 1.0, 1.0)
+    assert _why_ended(Improved(model, (), (), "no_gain", cancelling=names)) == said
+    assert refused(Added(model, names, errors, errors, 1.0, "um", False, 1.0, undetermined=names)).startswith(said)

@@ -499,14 +499,23 @@ def sharper(before: Errors, after: Errors, readings: int) -> bool:
     return fall > SHARPER * before.beyond_drift**2 and 0.5 * fall * readings > SURELY
 
 
+def not_determined(names: Sequence[str]) -> str:
+    """What readings do not determine of effects, one or several that cancel each other, in words."""
+    if len(names) == 1:
+        return f"these readings do not determine {names[0]} beside the other effects of the model"
+    return f"these readings determine only what {' and '.join(names)} make together"
+
+
 def refused(added: Added) -> str:
     """Why an addition does not improve the model enough, in words."""
     if added.doubts:
         return f"the record is in doubt: {' '.join(added.doubts)}".rstrip(".")
     if added.undetermined:
+        if len(added.undetermined) == 1:
+            return f"{not_determined(added.undetermined)}: it is uncertain by more than was read"
         return (
-            f"these readings determine only what {' and '.join(added.undetermined)} make together; what each makes "
-            "alone is uncertain by more than was read, and on another day they no longer cancel"
+            f"{not_determined(added.undetermined)}; what each makes alone is uncertain by more than was read, and on "
+            "another day they no longer cancel"
         )
     before, after = two_numbers(added.before.held_out, added.after.held_out)
     if added.after.held_out < added.before.held_out:
