@@ -26,6 +26,7 @@ from rtec.estimation.judge import Judgement, MeasurementMet
 from rtec.estimation.outliers import Clean
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
+from rtec.model.model import Correlation
 
 Floats = NDArray[np.float64]
 TOLD = 5
@@ -137,6 +138,16 @@ def fitted_effects(fit: Estimate) -> list[FittedEffect]:
     return out
 
 
+def _correlation(fit: Estimate) -> Correlation:
+    """Correlation of the errors of all numbers of a fit."""
+    machine, names = fit.sources[0].measurement.machine, list[str]()
+    for i, term in enumerate(fit.terms, 1):
+        names += [f"{i} {term.effect.label} {n}" for n in term.names(machine)]
+    owners = [(fit.terms.index(s.term) + 1, s.name) for s in fit.found.slopes]
+    names += [f"{i} {fit.terms[i - 1].effect.label} {n}" for i, n in owners]
+    return Correlation.of(names, fit.covariance)
+
+
 def model_of(fit: Estimate, name: str, margin: Margin) -> Model:
     """The model of a fit, without a history."""
     sources = fit.sources
@@ -149,6 +160,7 @@ def model_of(fit: Estimate, name: str, margin: Margin) -> Model:
         reference_degc=sources[0].state.reference_degc,
         valid_range=valid_range([f.effect for f in effects], read, margin),
         measurements={s.measurement.name: s.measurement.fingerprint for s in sources},
+        correlation=_correlation(fit),
     )
     model.check(name)
     return model

@@ -1,12 +1,13 @@
 """Refits all numbers of a model together, non-linear ones too, under the noise of the readings.
 
-A number that the measurements do not show keeps its value. Numbers move from their current values, the more freely
-the less certain they were.
+A number that the measurements do not show keeps its value. What earlier readings determined moves from there, as far as
+it was uncertain; freely where these readings show that it has changed. So a worn nut does not loosen an expansion.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,27 +17,34 @@ from rtec.effects import Effect, Parameter
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.columns import slope
 from rtec.estimation.determined import undetermined
-from rtec.estimation.gls import HeldOut, held_out, solve
+from rtec.estimation.gls import HeldOut, held_out, inverse, solve
 from rtec.estimation.noise import Whitener, find_noise, refine
-from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, weights
+from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, telling, weights, widening
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
-from rtec.model import FittedEffect
+from rtec.model import FittedEffect, Model
 from rtec.model.fit import SearchScale
-from rtec.model.model import names_of
+from rtec.model.model import Correlation, names_of
 from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 LOOSE = 30.0
 """Standard errors that a number may move freely where the same readings are fitted again."""
-LOOSENESS = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 100.0, 300.0, 1e3, 1e4, 1e5)
-"""The values to choose from where the readings are new."""
-CHANGED = 6.0
-"""Numbers have changed where twice the logarithm of the evidence rises by this: the odds are 20 to 1."""
+LOOSENESS = (2.0, 4.0, 8.0, 16.0, 30.0, 100.0, 300.0, 1e3, 1e4, 1e5)
+"""Standard errors that the numbers of a changed effect may move, to choose from."""
+CHANGED, FAR = 6.0, 3.5
+"""The numbers of an effect have changed where twice the logarithm of the evidence rises by the first, which are odds of
+20 to 1, and one of them moves by the second in standard errors, under noise that may drift; by more where few runs
+determine it, as of Student's distribution."""
 NEW = 1e6
 """Standard deviation of the prior of a number without an earlier fit, over its usual size."""
+HELD = 1e-6
+"""The same of a number that its fit left out, as one of two that cannot be distinguished."""
+APART_BY = 0.02
+"""Share by which correlations of an earlier fit are lowered: few runs make some of them look perfect."""
 ROUNDS = 2
 EVALUATIONS = 40
 TOLD = 4
@@ -55,6 +63,8 @@ class Joint:
         disputed: numbers on which both fits disagree by more than their errors, in words.
         plain: the ordinary fit.
         undetermined: effects, by number, of which only the sum with others is determined.
+        correlation: of the errors of the numbers.
+        settled: effects, by number, that earlier readings determined and that have not changed.
     """
 
     effects: tuple[FittedEffect, ...]
@@ -65,18 +75,32 @@ class Joint:
     disputed: tuple[str, ...] = ()
     plain: "Joint | None" = field(default=None, repr=False)
     undetermined: tuple[int, ...] = ()
+    correlation: Correlation | None = None
+    settled: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Numbers fitted under some weights."""
+    """Numbers fitted under some weights.
+
+    Attributes:
+        weights, noise: of the fit.
+        thetas: non-linear parameters of each effect.
+        columns: of every linear number, then of the set-up, (m, p).
+        values: of the linear numbers, (p,).
+        prior: what was known before.
+        free: non-linear parameters that were searched, with the number of their effect.
+        settled: effects, by number, that earlier readings determined and that have not changed.
+    """
 
     weights: Whitener | Plain
     noise: Whitener
     thetas: list[dict[str, float]]
     columns: Floats
     values: Floats
-    loose: float
+    prior: "_Prior"
+    free: Sequence[tuple[int, Parameter]]
+    settled: tuple[int, ...]
 
     def left(self, readings: Readings) -> Floats:
         return np.asarray(readings.values - self.columns @ self.values)
@@ -84,12 +108,35 @@ class _Numbers:
 
 @dataclass
 class _Work:
-    """Effects with the columns that stay constant during a search of non-linear parameters."""
+    """Effects with the columns that stay constant during a search of non-linear parameters.
+
+    Attributes:
+        effects: to be fitted.
+        readings: of the fit.
+        start: the effects with their current numbers.
+        earlier: the model as earlier readings determined it: the first of the effects; None for none.
+    """
 
     effects: Sequence[Effect]
     readings: Readings
     start: Sequence[FittedEffect]
+    earlier: Model | None
     still: dict[int, Floats] = field(default_factory=dict)
+
+    @property
+    def known(self) -> Sequence[FittedEffect]:
+        """The first of the effects, with the numbers that earlier readings determined."""
+        return self.earlier.effects if self.earlier is not None else ()
+
+    @cached_property
+    def followed(self) -> list[tuple[int, int]]:
+        """Places of each known number that a new one joins: both act by the same sensor, with another delay."""
+        pairs = []
+        for j, new in enumerate(self.effects[len(self.known) :], len(self.known)):
+            i = next((i for i, f in enumerate(self.known) if f.errors and _follows(f.effect, new)), None)
+            if i is not None:
+                pairs += list(zip(_places(self, [i]), _places(self, [j]), strict=True))
+        return pairs
 
     def columns(self, thetas: Sequence[Mapping[str, float]]) -> Floats:
         parts = [np.zeros((len(self.readings), 0))]
@@ -108,7 +155,7 @@ def joint_fit(
     readings: Readings,
     *,
     search: bool = True,
-    loose: float | None = LOOSE,
+    earlier: Model | None = None,
     least: tuple[float, ...] = (),
 ) -> Joint:
     """Refit effects together.
@@ -117,26 +164,36 @@ def joint_fit(
         effects: with the numbers to start from; a new one with `errors` empty and coefficients zero.
         readings: all readings, with the channels that the loop has.
         search: also refit non-linear parameters.
-        loose: standard errors that a number may move freely; None: the most likely value for these readings.
+        earlier: the model as other readings determined it, whose effects are the first ones: these readings refine its
+            numbers. All other effects were fitted to these readings.
         least: smallest white noise of each series, as `least_noise` gives it; empty for none.
 
     Raises:
         MeasurementError: a channel that an effect needs was not recorded.
     """
-    work = _Work([f.effect for f in effects], readings, effects)
+    work = _Work([f.effect for f in effects], readings, effects, earlier)
     free = _free(effects, readings) if search else []
-    weighed = _weighed(work, free, loose, least)
-    plain = _ordinary(work, free, weighed)
+    weighed = _weighed(work, free, least)
+    plain = _ordinary(work, weighed)
     judged = [held_out(f.weights, f.columns) for f in (weighed, plain)]
-    ordinary, by_weight = _joint(effects, readings, plain), _joint(effects, readings, weighed)
+    ordinary, by_weight = _joint(work, plain), _joint(work, weighed)
     words = _disputed(by_weight, ordinary, judged)
     return replace(by_weight if as_good(*judged) else ordinary, disputed=words, plain=ordinary)
 
 
-def _joint(effects: Sequence[FittedEffect], readings: Readings, found: _Numbers) -> Joint:
-    numbers, loose = _numbers(effects, readings, found)
-    left = found.left(readings)
-    return Joint(numbers, found.noise, found.columns, left, found.weights, undetermined=loose)
+def _joint(work: _Work, found: _Numbers) -> Joint:
+    numbers, loose, known = _numbers(work, found)
+    left = found.left(work.readings)
+    return Joint(
+        numbers,
+        found.noise,
+        found.columns,
+        left,
+        found.weights,
+        undetermined=loose,
+        correlation=known,
+        settled=found.settled,
+    )
 
 
 APART = 3.0
@@ -166,39 +223,39 @@ def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[
     return (first, *out[:TOLD])
 
 
-def _weighed(
-    work: _Work, free: Sequence[tuple[int, Parameter]], loose: float | None, least: tuple[float, ...]
-) -> _Numbers:
+def _weighed(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[float, ...]) -> _Numbers:
     """Generalised least squares, with the noise estimated in the same fit."""
-    readings, effects = work.readings, work.start
-    thetas = [dict(f.theta) for f in effects]
+    readings = work.readings
+    thetas = [dict(f.theta) for f in work.start]
     columns = work.columns(thetas)
     whitener = find_noise(readings, columns, least=least)
-    loose = _looseness(effects, readings, whitener, columns) if loose is None else loose
+    prior, loose = _known(work, whitener, columns)
+    settled = tuple(i for i, (f, much) in enumerate(zip(work.start, loose, strict=True)) if much == 1.0 and f.errors)
+    free = [(i, p) for i, p in free if i not in settled]
     for _ in range(ROUNDS if free else 1):
         if free:
-            thetas = _polish(work, whitener, thetas, free)
+            thetas = _polish(work, whitener, thetas, free, prior)
             columns = work.columns(thetas)
-        values = _values(effects, readings, whitener, columns, loose)
+        values = _values(readings, whitener, columns, prior)
         whitener = refine(whitener, readings.values - columns @ values, 30)
-    values = _values(effects, readings, whitener, columns, loose)
-    return _Numbers(whitener, whitener, thetas, columns, values, loose)
+    values = _values(readings, whitener, columns, prior)
+    return _Numbers(whitener, whitener, thetas, columns, values, prior, free, settled)
 
 
-def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Numbers) -> _Numbers:
+def _ordinary(work: _Work, weighed: _Numbers) -> _Numbers:
     """Ordinary robust least squares."""
-    readings, effects = work.readings, work.start
-    thetas = [dict(f.theta) for f in effects]
+    readings, prior, free = work.readings, weighed.prior, weighed.free
+    thetas = [dict(f.theta) for f in work.start]
     columns = work.columns(thetas)
     plain, values = plain_fit(readings, weighed.noise, columns)
     for _ in range(ROUNDS if free else 1):
         if free:
-            thetas = _polish(work, plain, thetas, free)
+            thetas = _polish(work, plain, thetas, free, prior)
             columns = work.columns(thetas)
             plain, values = plain_fit(readings, weighed.noise, columns)
     plain = plain.refined(readings.values - columns @ values, columns)
-    values = _values(effects, readings, plain, columns, weighed.loose)
-    return _Numbers(plain, plain.noise, thetas, columns, values, weighed.loose)
+    values = _values(readings, plain, columns, prior)
+    return _Numbers(plain, plain.noise, thetas, columns, values, prior, free, weighed.settled)
 
 
 def _columns(effect: Effect, theta: Mapping[str, float], readings: Readings) -> Floats:
@@ -219,14 +276,106 @@ def _free(effects: Sequence[FittedEffect], readings: Readings) -> list[tuple[int
     ]
 
 
+@dataclass(frozen=True)
+class _Prior:
+    """What is known of the linear numbers before a fit: a normal distribution.
+
+    Attributes:
+        centre, spread: mean and standard deviation, set-up terms last, (p,) each.
+        held: numbers that an earlier fit left out, (p,).
+        alike: correlation of their errors, (p, p).
+        sums: ones; and where a new effect follows the same sensor as a known one of its kind, of which only the sum was
+            known, (p, p).
+        honest: variance that these readings alone leave of a number which has not changed, under noise that may drift,
+            (p,); infinite for all others.
+    """
+
+    centre: Floats
+    spread: Floats
+    held: Bools
+    alike: Floats
+    sums: Floats
+    honest: Floats
+
+    def rows(self, white: Floats) -> Floats:
+        """Rows that stand for it beside weighted columns, (m, p) -> (p, p).
+
+        Weights that take readings of one run for independent ones would let a number follow them, however well it is
+        known: it is known better in the ratio of the variance that the weights suppose to the true one.
+        """
+        alone = np.diag(1.0 / (LOOSE * self.spread))
+        supposed = np.diag(inverse(np.concatenate([white, alone])))
+        ratio = np.where(np.isfinite(self.honest), self.honest / np.maximum(supposed, 1e-300), 1.0)
+        return self._root / (self.spread / np.sqrt(np.maximum(ratio, 1.0))) @ self.sums
+
+    @property
+    def plain_rows(self) -> Floats:
+        """Rows that stand for it beside independent readings, (p, p)."""
+        return np.asarray(self._root / self.spread @ self.sums)
+
+    @cached_property
+    def _root(self) -> Floats:
+        """Root of the inverse of the correlation, (p, p)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.alike)))
+
+
+def _prior(work: _Work, looseness: Sequence[float]) -> _Prior:
+    """The prior where each number may move by these multiples of its standard error, one for each effect.
+
+    What has changed has done so apart from errors of the earlier fit.
+    """
+    centre: list[float] = []
+    spread: list[float] = []
+    held: list[bool] = []
+    names: list[str] = []
+    for i, (now, loose) in enumerate(zip(work.start, looseness, strict=True)):
+        f = work.known[i] if i < len(work.known) else now
+        for p in f.effect.coefficients(work.readings.machine):
+            value = f.values.get(p.name, 0.0)
+            error, size = f.errors.get(p.name), max(p.typical, abs(value))
+            centre.append(value)
+            held.append(not error and bool(f.errors))
+            spread.append(loose * error if error else (HELD if held[-1] else NEW) * size)
+            names.append(f"{i + 1} {f.label} {p.name}" if error and loose == 1.0 else "")
+    count = work.readings.setup.shape[1]
+    whole = np.array([*spread, *[np.inf] * count])
+    linear, left_out = np.array([*centre, *[0.0] * count]), np.array([*held, *[False] * count])
+    alike = np.eye(len(whole))
+    if work.earlier is not None and work.earlier.correlation is not None:
+        found = work.earlier.correlation.matrix(names)
+        alike[: len(names), : len(names)] = (1.0 - APART_BY) * found + APART_BY * np.eye(len(names))
+    sums = np.eye(len(whole))
+    for i, j in work.followed:
+        sums[i, j] = 1.0
+    return _Prior(linear, whole, left_out, alike, sums, np.full(len(whole), np.inf))
+
+
+def _known(work: _Work, whitener: Whitener, columns: Floats) -> tuple[_Prior, list[float]]:
+    """The prior for these readings, where what has changed may move freely; and how freely each effect may move."""
+    if not any(f.errors for f in work.known):
+        loose = [LOOSE] * len(work.start)
+        return _prior(work, loose), loose
+    by_all, _ = plain_fit(work.readings, whitener, columns)
+    loose = _looseness(work, by_all, whitener, columns)
+    prior = _prior(work, loose)
+    variances = np.diag(covariance(by_all, columns, np.diag(1.0 / (LOOSE * prior.spread))))
+    honest = np.full(len(variances), np.inf)
+    same = [k for k in _places(work, [i for i, much in enumerate(loose) if much == 1.0]) if not prior.held[k]]
+    honest[same] = variances[same]
+    return replace(prior, honest=honest), loose
+
+
 def _polish(
-    work: _Work, whitener: Whitener | Plain, thetas: list[dict[str, float]], free: Sequence[tuple[int, Parameter]]
+    work: _Work,
+    whitener: Whitener | Plain,
+    thetas: list[dict[str, float]],
+    free: Sequence[tuple[int, Parameter]],
+    prior: _Prior,
 ) -> list[dict[str, float]]:
     """Variable projection on the whitened readings."""
     from scipy.optimize import least_squares
 
     scales = [SearchScale.of(p) for _, p in free]
-    target = whitener(work.readings.values)
 
     def at(x: Floats) -> list[dict[str, float]]:
         out = [dict(t) for t in thetas]
@@ -235,8 +384,8 @@ def _polish(
         return out
 
     def left(x: Floats) -> Floats:
-        white = whitener(work.columns(at(x)))
-        return np.asarray(target - white @ solve(white, target))
+        rows, target = _stacked(work.readings, whitener, work.columns(at(x)), prior)
+        return np.asarray(target - rows @ solve(rows, target))
 
     start = np.array([s.place(thetas[i][p.name]) for (i, p), s in zip(free, scales, strict=True)])
     options: dict[str, Any] = {"ftol": 1e-6, "xtol": 1e-5, "diff_step": 1e-3, "max_nfev": EVALUATIONS}
@@ -245,74 +394,121 @@ def _polish(
     return at(found.x) if better else thetas
 
 
-def _prior(effects: Sequence[FittedEffect], readings: Readings, loose: float) -> tuple[Floats, Floats]:
-    """Start of the linear numbers and their prior standard deviations, (p,) each, set-up terms last."""
-    centre: list[float] = []
-    spread: list[float] = []
-    for f in effects:
-        for p in f.effect.coefficients(readings.machine):
-            value = f.values.get(p.name, 0.0)
-            error = f.errors.get(p.name)
-            centre.append(value)
-            spread.append(loose * error if error else NEW * max(p.typical, abs(value)))
-    count = readings.setup.shape[1]
-    return np.array([*centre, *[0.0] * count]), np.array([*spread, *[np.inf] * count])
+def _stacked(readings: Readings, whitener: Whitener | Plain, columns: Floats, prior: _Prior) -> tuple[Floats, Floats]:
+    """Weighted columns, (m + p, p), and readings less the prior mean, (m + p,), with a row for each prior."""
+    white = whitener(np.column_stack([columns, readings.values - columns @ prior.centre]))
+    rows = np.concatenate([white[:, :-1], prior.rows(white[:, :-1])])
+    return rows, np.append(white[:, -1], np.zeros(len(prior.centre)))
 
 
-def _looseness(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> float:
-    """The likeliest looseness; one, too, where ordinary least squares shows no change.
-
-    Noise of a sensor pulls quick changes, slow drift pulls slow ones; a number that has changed changes both.
-    """
-    by_all, _ = plain_fit(readings, whitener, columns)
-    unchanged = _likeliest(effects, readings, by_all, columns) == 1.0
-    return 1.0 if unchanged else _likeliest(effects, readings, whitener, columns)
+def _values(readings: Readings, whitener: Whitener | Plain, columns: Floats, prior: _Prior) -> Floats:
+    """The likeliest linear numbers, (p,)."""
+    return np.asarray(prior.centre + solve(*_stacked(readings, whitener, columns, prior)))
 
 
-def _likeliest(
-    effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener | Plain, columns: Floats
-) -> float:
-    """The looseness with the largest evidence: the numbers have changed; or one, where that is not clearly likelier.
+@dataclass(frozen=True)
+class _Evidence:
+    """How likely the readings are by how far earlier numbers may have moved.
 
     Numbers without an earlier fit and the terms of the set-up may have any size: the readings less these are compared.
+
+    Attributes:
+        moves: numbers with an earlier fit, (p,).
+        gram: their weighted columns by each other, (q, q).
+        seen: their weighted columns by what their earlier values leave, (q,).
     """
-    centre, spread = _prior(effects, readings, 1.0)
-    known = [bool(f.errors.get(p.name)) for f in effects for p in f.effect.coefficients(readings.machine)]
-    fitted = np.array([*known, *[False] * readings.setup.shape[1]])
-    if not fitted.any():
-        return LOOSE
-    free = whitener(columns[:, ~fitted])
-    both = whitener(np.column_stack([columns[:, fitted] * spread[fitted], readings.values - columns @ centre]))
-    both -= free @ solve(free, both)
-    value, vector = np.linalg.eigh(both[:, :-1].T @ both[:, :-1])
-    seen = vector.T @ (both[:, :-1].T @ both[:, -1])
-    value = np.maximum(value, 0.0)
 
-    def evidence(loose: float) -> float:
-        return float(np.sum((loose * seen) ** 2 / (1.0 + loose**2 * value) - np.log1p(loose**2 * value)))
+    moves: Bools
+    gram: Floats
+    seen: Floats
 
-    likeliest = max(LOOSENESS, key=evidence)
-    return likeliest if evidence(likeliest) - evidence(1.0) > CHANGED else 1.0
+    @classmethod
+    def of(cls, work: _Work, by: Whitener | Plain, columns: Floats) -> "_Evidence":
+        """Under some weights, by columns of all numbers, (m, p)."""
+        one, two = (_prior(work, [loose] * len(work.start)) for loose in (1.0, 2.0))
+        moves = two.spread > one.spread
+        moves[[*_places(work, range(len(work.known), len(work.start)))]] = False
+        apart = columns @ np.linalg.inv(one.sums)
+        free = by(apart[:, ~moves & ~one.held])
+        both = by(np.column_stack([apart[:, moves], work.readings.values - columns @ one.centre]))
+        both -= free @ solve(free, both)
+        return cls(moves, both[:, :-1].T @ both[:, :-1], both[:, :-1].T @ both[:, -1])
 
-
-def _values(
-    effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener | Plain, columns: Floats, loose: float
-) -> Floats:
-    """Generalised least squares that starts at the current numbers, (p,)."""
-    centre, spread = _prior(effects, readings, loose)
-    white = whitener(columns)
-    rows = np.diag(1.0 / spread)
-    target = whitener(readings.values - columns @ centre)
-    stacked = np.concatenate([white, rows])
-    return np.asarray(centre + solve(stacked, np.concatenate([target, np.zeros(len(centre))])))
+    def under(self, prior: "_Prior") -> float:
+        """Twice the logarithm, but for a constant."""
+        root = np.linalg.cholesky(prior.alike[np.ix_(self.moves, self.moves)]) * prior.spread[self.moves, None]
+        triangle = np.linalg.cholesky(np.eye(len(root)) + root.T @ self.gram @ root)
+        flat = np.linalg.solve(triangle, root.T @ self.seen)
+        return float(flat @ flat - 2.0 * np.log(np.diag(triangle)).sum())
 
 
-def _numbers(
-    effects: Sequence[FittedEffect], readings: Readings, found: _Numbers
-) -> tuple[tuple[FittedEffect, ...], tuple[int, ...]]:
-    """Effects with their refitted numbers and standard errors; and those of which only the sum is determined."""
+def _places(work: _Work, numbers: Iterable[int]) -> Iterator[int]:
+    """Places of the linear numbers of effects among all."""
+    counts = [len(e.coefficients(work.readings.machine)) for e in work.effects]
+    first = np.cumsum([0, *counts])
+    return (k for i in numbers for k in range(int(first[i]), int(first[i + 1])))
+
+
+def _moves_far(work: _Work, by: Plain, columns: Floats, changed: int, loose: Sequence[float]) -> bool:
+    """Whether a number of a changed effect moves by many standard errors, under noise that may drift."""
+    was, prior = _prior(work, [1.0] * len(loose)), _prior(work, loose)
+    moved = np.abs(prior.sums @ (_values(work.readings, by, columns, prior) - prior.centre))
+    variances = np.diag(prior.sums @ covariance(by, columns, prior.plain_rows) @ prior.sums.T)
+    white = by(columns)
+    share = prior.sums @ inverse(np.concatenate([white, prior.plain_rows])) @ white.T
+    parts = [np.sum(share[:, work.readings.fold == f] ** 2, axis=1) for f in np.unique(work.readings.fold)]
+    errors = np.sqrt(np.maximum(variances, 0.0)) * widening(telling(np.stack(parts)), FAR)
+    return any(moved[k] > FAR * math.hypot(was.spread[k], errors[k]) for k in _places(work, [changed]))
+
+
+def _follows(one: Effect, other: Effect) -> bool:
+    """Whether an effect is another one but for its delay or its fixed end."""
+    same = (one.effect, one.component, getattr(one, "sensor", None))
+    return same == (other.effect, other.component, getattr(other, "sensor", None)) and same[2] is not None
+
+
+def _looseness(work: _Work, by_all: Plain, whitener: Whitener, columns: Floats) -> list[float]:
+    """Standard errors that the numbers of each effect may move; 1 where these readings show no change of them.
+
+    One effect after the other, the one first whose change makes the readings likeliest. Both kinds of least squares
+    must see it: noise of a sensor pulls quick changes, slow drift pulls slow ones, and a number that has changed
+    changes both.
+    """
+    known = len(work.known)
+    loose = [1.0] * known + [LOOSE] * (len(work.start) - known)
+    # One that a new effect follows changes by that.
+    followed = {place for place, _ in work.followed}
+    unchanged = {i for i, f in enumerate(work.known) if f.errors and followed.isdisjoint(_places(work, [i]))}
+    both = [_Evidence.of(work, by, columns) for by in (by_all, whitener)]
+    while unchanged:
+        now = [e.under(_prior(work, loose)) for e in both]
+        tried = []
+        for i in unchanged:
+            ways = [[*loose[:i], much, *loose[i + 1 :]] for much in LOOSENESS]
+            gains = np.array([[e.under(_prior(work, way)) for e in both] for way in ways]) - now
+            tried.append((float(gains.max(axis=0).min()), i, ways[int(np.argmax(gains.sum(axis=1)))]))
+        changed, way = next(
+            (
+                (i, way)
+                for gain, i, way in sorted(tried, reverse=True)
+                if gain > CHANGED and _moves_far(work, by_all, columns, i, way)
+            ),
+            (None, loose),
+        )
+        if changed is None:
+            break
+        loose = way
+        unchanged.discard(changed)
+    return loose
+
+
+def _numbers(work: _Work, found: _Numbers) -> tuple[tuple[FittedEffect, ...], tuple[int, ...], Correlation]:
+    """Effects with their refitted numbers and standard errors; those of which only the sum is determined; and the
+    correlation of the errors.
+    """
+    effects, readings, prior = work.start, work.readings, found.prior
     machine, at = readings.machine, 0
-    columns, thetas, values, loose = found.columns, found.thetas, found.values, found.loose
+    columns, thetas, values = found.columns, found.thetas, found.values
     filled: list[FittedEffect] = []
     for f, theta in zip(effects, thetas, strict=True):
         linear, _ = names_of(f.effect, machine)
@@ -321,14 +517,17 @@ def _numbers(
         filled.append(FittedEffect(f.effect, dict(zip(linear, map(float, part), strict=True)), dict(theta)))
     slopes, owner = [], []
     for i, f in enumerate(filled):
-        for name in f.theta:
+        for name in (p.name for k, p in found.free if k == i):
             slopes.append(slope(f, readings, name, np.array(list(f.values.values()))))
             owner.append((i, name))
     whole = np.concatenate([columns, *[s[:, None] for s in slopes]], axis=1)
-    spread = np.concatenate([_prior(effects, readings, loose)[1], np.full(len(slopes), np.inf)])
-    known = covariance(found.weights, whole, spread)
+    tight = np.zeros((whole.shape[1], whole.shape[1]))
+    tight[: columns.shape[1], : columns.shape[1]] = prior.plain_rows
+    known = covariance(found.weights, whole, tight)
     errors = np.sqrt(np.maximum(np.diag(known), 0.0))
-    errors = np.where(np.abs(whole).max(axis=0, initial=0.0) > 0.0, errors, np.nan)  # nan: not seen
+    shown = np.abs(whole).max(axis=0, initial=0.0) > 0.0
+    shown[: len(prior.held)] &= ~prior.held
+    errors = np.where(shown, errors, np.nan)
     out, at = [], 0
     for i, (f, before) in enumerate(zip(filled, effects, strict=True)):
         places = {name: at + k for k, name in enumerate(f.values)}
@@ -338,7 +537,10 @@ def _numbers(
     of = np.repeat(np.arange(len(filled)), [len(f.values) for f in filled])
     terms = np.append(np.arange(len(of)), columns.shape[1] + np.arange(len(owner)))
     of = np.append(of, np.array([i for i, _ in owner], dtype=np.int64))
-    return tuple(out), _undetermined(readings, found, whole[:, terms], known[np.ix_(terms, terms)], of)
+    mine = known[np.ix_(terms, terms)]
+    names = [*(f"{i} {f.label} {n}" for i, f in enumerate(filled, 1) for n in f.values),
+             *(f"{i + 1} {filled[i].label} {n}" for i, n in owner)]  # fmt: skip
+    return tuple(out), _undetermined(readings, found, whole[:, terms], mine, of), Correlation.of(names, mine)
 
 
 def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:
@@ -364,8 +566,8 @@ def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: F
 
 
 def _errors_of(before: FittedEffect, errors: Floats, places: Mapping[str, int]) -> dict[str, float]:
-    """Standard errors by name; a number that the readings do not see keeps its earlier one."""
-    out = {}
+    """Standard errors by name; a number that the readings do not see or that was not searched keeps its earlier one."""
+    out = {n: e for n, e in before.errors.items() if n in before.theta and n not in places}
     for name, place in places.items():
         error = errors[place] if np.isfinite(errors[place]) else before.errors.get(name, 0.0)
         if error > 0.0:

@@ -1,6 +1,6 @@
 """One judgement of a model on measurements: the same residual, noise floor and held-out error in every command."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ from rtec.estimation.noise import Whitener, noise_on_stretches
 from rtec.estimation.outliers import Clean
 from rtec.estimation.plain import Plain, as_good, plain_fit
 from rtec.estimation.readings import Readings
-from rtec.model import FittedEffect, Model
+from rtec.model import Model
 
 Floats = NDArray[np.float64]
 
@@ -151,33 +151,36 @@ class Judgement:
         """Root mean square error on held-out runs, in `unit`."""
         return self._held_out.rms
 
-    def with_own(self, count: int) -> float:
-        """Root mean square error on held-out runs if the first effects keep their numbers and all others are refitted.
+    def with_own(self, kept: Collection[int]) -> float:
+        """Root mean square error on held-out runs if some effects keep their numbers and all others are refitted.
 
         Args:
-            count: number of effects that keep their numbers; none of them was fitted to these readings.
+            kept: effects, by number, whose numbers these readings do not determine, or hardly.
         """
-        if not count:
+        if not kept:
             return self.held_out
-        alone, columns = self._refitted_to(count)
+        alone, columns = self._refitted_to(kept)
         weighted, plain = (held_out(replace(w, readings=alone), columns, self.scale) for w in self._weights)
         return (weighted if as_good(weighted, plain) else plain).rms
 
-    def beyond_drift(self, by: Whitener, count: int = 0) -> float:
+    def beyond_drift(self, by: Whitener, kept: Collection[int] = ()) -> float:
         """Error on held-out runs beyond slow drift, root mean square in multiples of the noise.
 
         Args:
             by: the noise, of these readings.
-            count: as of `with_own`.
+            kept: as of `with_own`.
         """
-        alone, columns = self._refitted_to(count)
+        alone, columns = self._refitted_to(kept)
         white = held_out(replace(by, readings=alone), columns).white
         return float(np.sqrt(white.sum() / max(len(alone), 1)))
 
-    def _refitted_to(self, count: int) -> tuple[Readings, Floats]:
-        """What the first effects leave of the readings, and the columns of all others, (m, p)."""
-        kept, others = (replace(self.model, effects=part) for part in _cut(self.model.effects, count))
-        alone = replace(self.readings, values=self.readings.values - base_of(kept, self.readings).predicted)
+    def _refitted_to(self, kept: Collection[int]) -> tuple[Readings, Floats]:
+        """What some effects leave of the readings, and the columns of all others, (m, p)."""
+        model, effects = self.model, list(enumerate(self.model.effects))
+        known, others = (
+            replace(model, effects=tuple(f for i, f in effects if (i in kept) is k)) for k in (True, False)
+        )
+        alone = replace(self.readings, values=self.readings.values - base_of(known, self.readings).predicted)
         return alone, base_of(others, self.readings).columns
 
     @cached_property
@@ -214,8 +217,3 @@ class Judgement:
             "readings": len(self.readings),
             "wrong_readings": [vars(w) for w in self.given.wrong],
         }
-
-
-def _cut(effects: tuple[FittedEffect, ...], count: int) -> tuple[tuple[FittedEffect, ...], tuple[FittedEffect, ...]]:
-    """The first so many, and the others."""
-    return effects[:count], effects[count:]

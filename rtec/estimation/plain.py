@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 4
 STEPS = 30
+BEYOND = 1.959964
+"""Standard errors within which 95 % of all results are."""
+LEAST_FREEDOM = 3.0
 WORSE = 1.04
 """Mean squares on held-out runs within this factor are equally good."""
 
@@ -56,7 +59,7 @@ class Plain:
     def refined(self, left: Floats, columns: Floats) -> "Plain":
         """The same weights from the residual, (m,), of a fit of columns, (m, p)."""
         made = replace(weights(self.readings, refine(self.noise, left, STEPS), left), shrink=1.0)
-        no_prior = np.full(columns.shape[1], np.inf)
+        no_prior = np.zeros((1, columns.shape[1]))
         supposed, there = inverse(made(columns)), covariance(made, columns, no_prior)
         known = np.diag(supposed) > 0.0
         if not known.any():
@@ -65,21 +68,43 @@ class Plain:
         return replace(made, shrink=1.0 / np.sqrt(max(factor, 1.0)))
 
 
-def covariance(by: Whitener | Plain, columns: Floats, spread: Floats) -> Floats:
+def telling(share: Floats) -> Floats:
+    """Effective number of blocks that determine numbers, `(Σ w)² / Σ w²`, (p,).
+
+    Args:
+        share: contribution `w` of each block to the variance of each number, (blocks, p).
+    """
+    squares = (share**2).sum(axis=0)
+    return np.asarray(share.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0))
+
+
+def widening(blocks: Floats, far: float = BEYOND) -> Floats:
+    """Factor by which a standard error from this many blocks is wider: Student's quantile over the normal one.
+
+    Args:
+        blocks: effective number of blocks, (p,).
+        far: in standard errors, what is asked about.
+    """
+    from scipy.special import ndtr, stdtrit
+
+    freedom = np.maximum(blocks - 1.0, LEAST_FREEDOM)
+    return np.asarray(stdtrit(freedom, ndtr(far)) / far, dtype=np.float64)
+
+
+def covariance(by: Whitener | Plain, columns: Floats, prior: Floats) -> Floats:
     """Covariance of coefficients under the noise, (p, p).
 
     Args:
         by: weights of the fit.
         columns: of the fit, (m, p).
-        spread: of the prior of each coefficient, (p,); infinite for none.
+        prior: rows that stand for what is known of the coefficients, (k, p); zeros for nothing.
     """
-    tight = 1.0 / spread
     white = by(columns)
-    bread = inverse(np.concatenate([white, np.diag(tight)]))
+    bread = inverse(np.concatenate([white, prior]))
     if isinstance(by, Whitener):
         return bread
     pulled = without_nuisance(by.readings, white * by.rows[:, None])
-    meat = pulled.T @ by.noise.covary(pulled) + np.diag(tight**2)
+    meat = pulled.T @ by.noise.covary(pulled) + prior.T @ prior
     return np.asarray(bread @ meat @ bread)
 
 

@@ -4,16 +4,16 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from rtec.effects import effect_class
 from rtec.errors import ModelError
 from rtec.files import whole
 from rtec.machine import Machine
-from rtec.model.model import FittedEffect, Model
+from rtec.model.model import Correlation, FittedEffect, Model, number_names
 from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, DegreesCelsius, MicrometresNotNegative
 from rtec.tomlfile import Strict, read_toml, validated
 
@@ -52,6 +52,26 @@ class _ModelTable(Strict):
     effects: Counts | None = None
 
 
+def _numbers_of(row: object) -> object:
+    """The numbers of a row; a line a row keeps the table readable."""
+    return tuple(map(float, row.split())) if isinstance(row, str) else row
+
+
+_Share = Annotated[float, Field(ge=-1, le=1)]
+
+
+class _CorrelationTable(Strict):
+    """`[correlation]`: how the errors of the numbers hang together; a later fit needs it to keep what is known.
+
+    Attributes:
+        numbers: place and label of the effect, from 1, and name of the number.
+        rows: correlation of each number with those before it, -1 to 1, separated by spaces; the first row is empty.
+    """
+
+    numbers: list[str]
+    rows: list[Annotated[tuple[_Share, ...], BeforeValidator(_numbers_of)]]
+
+
 class ModelFile(Strict):
     """The whole model file.
 
@@ -61,6 +81,7 @@ class ModelFile(Strict):
         valid_range: lowest and highest value of a channel that the fit has seen; the guard holds outside.
         measurement: SHA-256 of the measurements behind the fit, by name.
         history: one entry a change, for `rtec history`.
+        correlation: of the errors of the numbers; may be left out.
     """
 
     model: _ModelTable
@@ -68,6 +89,7 @@ class ModelFile(Strict):
     valid_range: dict[str, tuple[Coefficient, Coefficient]] = Field(default_factory=dict)
     measurement: dict[str, str] = Field(default_factory=dict)
     history: list[dict[str, Any]] = Field(default_factory=list)
+    correlation: _CorrelationTable | None = None
 
 
 class _Numbers(Strict):
@@ -108,8 +130,10 @@ def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
         noise_um=file.model.noise_um,
         measurements=file.measurement,
         history=tuple(file.history),
+        correlation=_read_correlation(file.correlation, source),
     )
     model.check(source)
+    _check_correlation(model, source)
     _check_units(file, model, source)
     return model
 
@@ -151,13 +175,39 @@ def tables(model: Model) -> dict[str, Any]:
     }
     if model.noise_um is not None:
         head["noise_um"] = model.noise_um
-    return {
+    out: dict[str, Any] = {
         "model": head,
         "valid_range": {k: list(v) for k, v in model.valid_range.items()},
         "measurement": dict(model.measurements),
         "effect": [_effect_table(f, model.machine) for f in model.effects],
         "history": [dict(entry) for entry in model.history],
     }
+    if model.correlation is not None:
+        known = model.correlation.among(model.effects)
+        out["correlation"] = {"numbers": list(known.numbers), "rows": [" ".join(map(str, row)) for row in known.rows]}
+    return out
+
+
+def _read_correlation(table: _CorrelationTable | None, source: str) -> Correlation | None:
+    if table is None:
+        return None
+    if [len(row) for row in table.rows] != list(range(len(table.numbers))):
+        raise ModelError(
+            f"{source}: [correlation] rows: need one for each of the {len(table.numbers)} numbers, the first empty and "
+            "each longer by one"
+        )
+    return Correlation(tuple(table.numbers), tuple(table.rows))
+
+
+def _check_correlation(model: Model, source: str) -> None:
+    """Refuse a correlation of numbers that the model does not have."""
+    there = set(number_names(model.effects))
+    strange = [n for n in (model.correlation.numbers if model.correlation else ()) if n not in there]
+    if strange:
+        raise ModelError(
+            f"{source}: [correlation] numbers: {strange[0]!r} is no number of these effects; after adding or removing "
+            "effects by hand, remove this table"
+        )
 
 
 def _read_effect(table: Mapping[str, Any], source: str) -> FittedEffect:

@@ -1,6 +1,6 @@
 """The model: a machine plus fitted effects, and how far its correction jumps when an axis turns round."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -98,6 +98,51 @@ class FittedEffect:
 
 
 @dataclass(frozen=True)
+class Correlation:
+    """Correlation of the errors of a model's numbers.
+
+    Attributes:
+        numbers: place and label of the effect, from 1, and name of the number; as `number_names` gives them.
+        rows: of each number with those before it, -1 to 1.
+    """
+
+    numbers: tuple[str, ...]
+    rows: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, numbers: Sequence[str], covariance: Floats) -> "Correlation":
+        """From the covariance of numbers, (n, n); those without an error correlate with none."""
+        sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        scale = np.where(sizes > 0.0, sizes, np.inf)
+        r = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+        rows = tuple(tuple(float(f"{v:.4f}") for v in r[i, :i]) for i in range(len(numbers)))
+        return cls(tuple(numbers), rows)
+
+    def matrix(self, numbers: Sequence[str]) -> Floats:
+        """Correlation matrix of some numbers, (n, n); what is not in it correlates with none."""
+        whole = np.eye(len(self.numbers))
+        for i, row in enumerate(self.rows):
+            whole[i, :i] = whole[:i, i] = row
+        place = {n: i for i, n in enumerate(self.numbers)}
+        out = np.eye(len(numbers))
+        there = [(i, place[n]) for i, n in enumerate(numbers) if n in place]
+        if there:
+            mine, theirs = (list(x) for x in zip(*there, strict=True))
+            out[np.ix_(mine, mine)] = whole[np.ix_(theirs, theirs)]
+        return out
+
+    def among(self, effects: Sequence[FittedEffect]) -> "Correlation":
+        """The same for the numbers of these effects that are in it."""
+        names = [n for n in number_names(effects) if n in self.numbers]
+        return Correlation.of(names, self.matrix(names))
+
+
+def number_names(effects: Sequence[FittedEffect]) -> list[str]:
+    """Names of all numbers: place and label of the effect, and the number's own."""
+    return [f"{i} {f.label} {n}" for i, f in enumerate(effects, 1) for n in (*f.values, *f.theta)]
+
+
+@dataclass(frozen=True)
 class Model(Shown):
     """A geometric-thermal model.
 
@@ -110,6 +155,7 @@ class Model(Shown):
         noise_um: noise floor of the measurements behind the fit.
         measurements: SHA-256 of those measurements by name.
         history: one entry a change, as tables.
+        correlation: of the errors of its numbers; None where it is unknown.
     """
 
     page_maker: ClassVar[str] = "rtec.report.history:model_page"
@@ -122,6 +168,7 @@ class Model(Shown):
     noise_um: float | None = None
     measurements: Mapping[str, str] = field(default_factory=dict)
     history: tuple[Mapping[str, Any], ...] = ()
+    correlation: Correlation | None = None
 
     def facts(self) -> dict[str, Any]:
         """The model as plain data: its name, its machine, and every number with its standard error and unit."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rtec.effects import EFFECTS, effect_class
 from rtec.errors import ModelError, RtecError
 from rtec.model import FittedEffect, Model, load_model, save_model
 from rtec.model.file import model_from, tables
+from rtec.model.model import Correlation, number_names
 from tests.support.machines import bridge, turning_centre
 
 MACHINE = turning_centre()
@@ -353,3 +355,42 @@ def test_a_good_model_with_one_thing_replaced(data: st.DataObject) -> None:
     key = data.draw(st.sampled_from(sorted(place)) if place else WORDS)
     place[key] = data.draw(ANYTHING)
     model_or_error(tree)
+
+
+TOGETHER = Correlation(("1 scale(EXX, X) k", "2 ambient_drift(EZ0spindle, T_air) k"), ((), (-0.25,)))
+
+
+def test_the_correlation_of_the_errors_is_kept(tmp_path: Path) -> None:
+    """Oracle: the matrix that was given; what a model no longer has is left out."""
+    path, whole = tmp_path / "m.toml", replace(model(), correlation=TOGETHER)
+    save_model(whole, path)
+    assert load_model(path, MACHINE) == whole
+    names = number_names(whole.effects)
+    assert np.array_equal(TOGETHER.matrix(names[:2]), [[1.0, -0.25], [-0.25, 1.0]])
+    assert np.array_equal(TOGETHER.matrix(names[2:]), [[1.0]]), "of the delay none is known"
+    save_model(replace(whole, effects=whole.effects[:1]), path)
+    assert load_model(path, MACHINE).correlation == Correlation(TOGETHER.numbers[:1], ((),))
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (["", "-0.25 0.5"], "each longer by one"),
+        ([""], "each longer by one"),
+        (["", "2"], "from -1 to 1"),
+        (["", "nan"], "finite"),
+        (["", "much"], "much"),
+    ],
+)
+def test_a_broken_correlation_is_refused(rows: list[str], said: str) -> None:
+    table = good() | {"correlation": {"numbers": list(TOGETHER.numbers), "rows": rows}}
+    with pytest.raises(ModelError, match=said):
+        model_from(table, MACHINE, "m.toml")
+
+
+def test_a_correlation_of_effects_that_were_removed_by_hand_is_refused() -> None:
+    """Their places are no longer the ones that it names."""
+    table = deepcopy(tables(replace(model(), correlation=TOGETHER)))
+    del table["effect"][0]
+    with pytest.raises(ModelError, match="remove this table"):
+        model_from(table, MACHINE, "m.toml")

@@ -29,7 +29,7 @@ from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.floor import Unit
 from rtec.estimation.gls import held_out, solve, without_nuisance
-from rtec.estimation.joint import LOOSE, Joint, joint_fit
+from rtec.estimation.joint import Joint, joint_fit
 from rtec.estimation.judge import Judgement
 from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import least_noise
@@ -229,6 +229,7 @@ def add(
     stage: Stage | None = None,
     given: Clean | None = None,
     own: int | None = None,
+    earlier: Model | None = None,
 ) -> Added:
     """Add effects and refit everything, on the channels that the loop has.
 
@@ -244,6 +245,8 @@ def add(
         given: the measurements, already read; the caller has checked the record for doubts.
         own: number of effects of the model, from the first on, whose numbers were not fitted to these readings; by
             default all, or none if the model names one of the measurements.
+        earlier: the model before any of its numbers was fitted to these readings; by default the model itself, unless
+            it names one of the measurements.
 
     Raises:
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
@@ -253,7 +256,8 @@ def add(
     with one_blas_thread():
         again = any(m.fingerprint in model.measurements.values() for m in measurements)
         kept = own if own is not None else 0 if again else len(model.effects)
-        return _add(model, new, measurements, margin or Margin(), progress, given, kept)
+        before = earlier if earlier is not None else None if again else model
+        return _add(model, new, measurements, margin or Margin(), progress, given, kept, before)
 
 
 def _add(
@@ -264,6 +268,7 @@ def _add(
     progress: Stage,
     given: Clean | None,
     own: int,
+    earlier: Model | None,
 ) -> Added:
     _check_new(model, new)
     check_enough(measurements)
@@ -273,25 +278,22 @@ def _add(
     wrong = in_doubt(Judgement(model, there)) if given is None else ()
     if all(d.kind == "wrong_scale" for d in wrong):
         check_scales(readings, predicted(model.effects, readings))
-    # Readings of an earlier fit give no new information about the standard errors of the model's numbers.
-    again = any(m.fingerprint in model.measurements.values() for m in measurements)
-    loose = LOOSE if again else None
-    before = joint_fit(model.effects, readings, loose=loose)
+    before = joint_fit(model.effects, readings, earlier=earlier)
     progress("refitting with what is new" if new else "refitting", 1, 3)
-    after, searched = _with_new(model, new, before, readings, loose) if new else (no_worse(model, before), ())
+    after, searched = _with_new(model, new, before, readings, earlier) if new else (no_worse(model, before), ())
     progress("held-out runs", 2, 3)
-    made = _judged(model, new, measurements, there, after, margin, own, 0)
+    made = _judged(model, new, measurements, there, (before, after), margin, own, 0)
     if new and own:
-        kept = _with_own(model, after, own, readings, loose)
-        other = _judged(model, new, measurements, there, kept, margin, own, own)
+        kept = _with_own(model, after, own, readings)
+        other = _judged(model, new, measurements, there, (before, kept), margin, own, own)
         settles = bool(after.undetermined) and not kept.undetermined and other.better
         lower, n = other.after.held_out < (1.0 - CLEARLY) * made.after.held_out, len(readings)
         clearly = lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))
         if settles or clearly or _holds(model, there, made, other):
             after, made = kept, other
     progress("held-out runs", 3, 3)
-    named, known = labels(after.effects), set(before.undetermined if new else after.undetermined)
-    cancelling = tuple(named[i] for i in after.undetermined if i not in known)
+    named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
+    cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
     better = made.better and not cancelling and not wrong
     return replace(
         made,
@@ -331,7 +333,7 @@ def _holds(model: Model, given: Clean, made: Added, kept: Added) -> bool:
     if not moves_far(model, made) or not kept.better or kept.after.held_out > NEARLY * made.after.held_out:
         return False
     free, fixed = made.after.beyond_drift, kept.after.beyond_drift
-    there = Judgement(model, given).beyond_drift(Judgement(made.model, given).flexible, kept.own_kept)
+    there = Judgement(model, given).beyond_drift(Judgement(made.model, given).flexible, range(kept.own_kept))
     return there**2 - fixed**2 >= HOLDS * (there**2 - free**2)
 
 
@@ -366,7 +368,14 @@ def no_worse(model: Model, refitted: Joint) -> Joint:
     bound = (1.0 + ROUNDING) * residual_size(model.effects, readings)
     fits = [refitted, *([refitted.plain] if refitted.plain is not None else [])]
     good = [f for f in fits if _size(readings, f.left) <= bound]
-    return good[0] if good else replace(refitted, effects=model.effects, left=stands)
+    as_it_is = replace(
+        refitted,
+        effects=model.effects,
+        left=stands,
+        correlation=model.correlation,
+        settled=tuple(range(len(model.effects))),
+    )
+    return good[0] if good else as_it_is
 
 
 def residual_size(effects: Sequence[FittedEffect], readings: Readings) -> float:
@@ -388,7 +397,7 @@ def _moves(readings: Readings, column: Floats) -> bool:
 
 
 def _with_new(
-    model: Model, new: Sequence[FittedEffect], before: Joint, readings: Readings, loose: float | None
+    model: Model, new: Sequence[FittedEffect], before: Joint, readings: Readings, earlier: Model | None
 ) -> tuple[Joint, tuple[str, ...]]:
     """Refit with the new effects; also notes on the search of their parameters, in words."""
     found: list[FittedEffect] = []
@@ -406,10 +415,10 @@ def _with_new(
         found.append(placed)
         words += scan_notes
     least = least_noise(readings, floor.cleaned(readings, before.left))
-    return joint_fit((*model.effects, *found), readings, loose=loose, least=least), tuple(words)
+    return joint_fit((*model.effects, *found), readings, earlier=earlier, least=least), tuple(words)
 
 
-def _with_own(model: Model, refitted: Joint, own: int, readings: Readings, loose: float | None) -> Joint:
+def _with_own(model: Model, refitted: Joint, own: int, readings: Readings) -> Joint:
     """Fit what is new, and effects that were added before, while the first effects keep their numbers.
 
     Args:
@@ -417,15 +426,15 @@ def _with_own(model: Model, refitted: Joint, own: int, readings: Readings, loose
         refitted: with what is new, all numbers refitted.
         own: effects that keep their numbers.
         readings: the readings.
-        loose: as of `joint_fit`.
     """
     known = len(model.effects)
     alone = replace(readings, values=readings.values - predicted(model.effects[:own], readings))
     fresh = [replace(f, errors={}) for f in refitted.effects[known:]]
     least = least_noise(readings, floor.cleaned(readings, refitted.left))
-    fit = joint_fit((*model.effects[own:], *fresh), alone, loose=loose, least=least)
+    fit = joint_fit((*model.effects[own:], *fresh), alone, least=least)
     undetermined = tuple(own + i for i in fit.undetermined)
-    return replace(fit, effects=(*model.effects[:own], *fit.effects), undetermined=undetermined)
+    effects = (*model.effects[:own], *fit.effects)
+    return replace(fit, effects=effects, undetermined=undetermined, correlation=model.correlation, settled=())
 
 
 def _judged(
@@ -433,7 +442,7 @@ def _judged(
     new: Sequence[FittedEffect],
     measurements: Sequence[Measurement],
     given: Clean,
-    after: Joint,
+    fits: tuple[Joint, Joint],
     margin: Margin,
     fresh: int,
     own: int,
@@ -444,19 +453,20 @@ def _judged(
         model: the model before.
         new: the added effects.
         measurements, given: the readings.
-        after: the fit.
+        fits: of the model before, and with what is new.
         margin: of the valid ranges.
         fresh: number of effects whose numbers were not fitted to these readings before: for them all runs are held out.
         own: number of effects that keep their numbers in the fit.
     """
-    effects = after.effects
-    grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
-    now = Judgement(grown, given)
+    (refitted, after), effects = fits, fits[1].effects
+    ranges = ranges_of(model, effects, given.readings, margin)
+    grown = replace(model, effects=effects, valid_range=ranges, correlation=after.correlation)
+    now, kept = Judgement(grown, given), {*range(own), *after.settled}
     was = Judgement(model, given, tuple(now.scale))
-    counts = {0, fresh} if new else {len(model.effects)}
-    held, sharp = min(map(was.with_own, counts)), min(was.beyond_drift(now.flexible, c) for c in counts)
+    ways = [range(0), range(fresh), refitted.settled] if new else [range(len(model.effects))]
+    held, sharp = min(map(was.with_own, ways)), min(was.beyond_drift(now.flexible, kept) for kept in ways)
     before = Errors(was.residual, was.residual, held, sharp)
-    after_it = Errors(None, now.residual, now.with_own(own), now.beyond_drift(now.flexible, own))
+    after_it = Errors(None, now.residual, now.with_own(kept), now.beyond_drift(now.flexible, kept))
     noise, added = now.noise_floor, tuple(labels(effects)[len(model.effects) :])
     entry = entry_of(
         added, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 from typing import Any, ClassVar, Literal
 
@@ -251,6 +250,7 @@ class _Growth:
         again = any(m.fingerprint in start.measurements.values() for m in measurements)
         # Effects whose numbers were not fitted to these readings.
         self.own = 0 if again else len(start.effects)
+        self.earlier = None if again else start
 
     def refit(self, model: Model, alone: bool) -> Added | None:
         """The model with refitted numbers; None where that lowers the error on held-out runs by little.
@@ -372,7 +372,7 @@ class _Growth:
         """A further temperature of an effect of the model, where it predicts held-out runs better."""
         for new in islice(further_temperatures(Judgement(model, self.given)), TRIED):
             try:
-                added = add(model, [new], self.measurements, stage=self.stage, given=self.given, own=self.own)
+                added = self._adding(model, [new], self.own)
             except ModelError:
                 continue
             fall = added.before.held_out**2 - added.after.held_out**2
@@ -502,12 +502,15 @@ class _Growth:
 
     def _added(self, model: Model, new: Sequence[FittedEffect]) -> Added:
         """The model with effects; it keeps its own numbers where the readings determine only the sum of both."""
-        adding = partial(add, model, new, self.measurements, stage=self.stage, given=self.given)
-        added = adding(own=self.own)
+        added = self._adding(model, new, self.own)
         if added.undetermined and self.own < len(model.effects):
-            kept = adding(own=len(model.effects))
+            kept = self._adding(model, new, len(model.effects))
             added = added if kept.undetermined else kept
         return added
+
+    def _adding(self, model: Model, new: Sequence[FittedEffect], own: int) -> Added:
+        """The model with effects, of which the first `own` are not fitted to these readings yet."""
+        return add(model, new, self.measurements, stage=self.stage, given=self.given, own=own, earlier=self.earlier)
 
     def _gains(self, added: Added) -> bool:
         """Whether an addition is worth it: it predicts held-out runs better and cancels no effect of the model."""

@@ -16,15 +16,13 @@ from rtec.estimation.gram.projection import Polished, polish
 from rtec.estimation.gram.source import Source, flat, thinned
 from rtec.estimation.gram.stream import Progress, Term, gather, predict
 from rtec.estimation.gram.weights import residuals_of, rough_noise
+from rtec.estimation.plain import widening
 from rtec.estimation.robust import huber, settled, sigmas
 
 Floats = NDArray[np.float64]
 
 ROUNDS = 6
 """Most fits, each with the weights from the one before."""
-BEYOND = 0.025
-"""Probability beyond twice a standard error, on one side."""
-LEAST_FREEDOM = 3.0
 SAME = 0.2
 """A smaller relative change of the noise of columns against each other is not worth another fit."""
 FEWER = 10_000
@@ -75,18 +73,23 @@ class Estimate:
         return np.hypot(errors, np.append(self.by_common_lag, np.zeros(width - self.linear.width)))
 
     @cached_property
+    def covariance(self) -> Floats:
+        """Covariance of the same numbers, (width, width)."""
+        normal, width = self.found.normal, self.found.normal.width
+        covariance = normal.covariance(normal.values())[:width, :width]
+        wider = self.errors / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        return np.asarray(covariance * np.outer(wider, wider))
+
+    @cached_property
     def undetermined(self) -> list[int]:
         """Terms, by number, of which only the sum with others is determined."""
         normal, width = self.found.normal, self.found.normal.width
         values = np.append(self.values[: self.linear.width], np.zeros(width - self.linear.width))
         terms = np.array([*range(len(self.terms)), *(self.terms.index(s.term) for s in self.found.slopes)])
-        covariance = normal.covariance(normal.values())[:width, :width]
-        wider = self.errors / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        covariance = covariance * np.outer(wider, wider)
         shown = normal.by_source()
         left = np.zeros(len(shown))
         np.add.at(left, [c.source for c in self.linear.cells], self.cells[1])
-        return undetermined(shown, values, covariance, terms[normal.owner], left)
+        return undetermined(shown, values, self.covariance, terms[normal.owner], left)
 
     @cached_property
     def by_common_lag(self) -> Floats:
@@ -113,14 +116,6 @@ class Estimate:
         here = np.array([source is None or c.source == source for c in self.linear.cells])
         freedom = np.array([c.freedom for c in self.linear.cells])
         return float(np.sqrt(squares[here].sum() / max(freedom[here].sum(), 1.0)))
-
-
-def widening(blocks: Floats) -> Floats:
-    """Factor by which a standard error from this many blocks is wider."""
-    from scipy.special import ndtri, stdtrit
-
-    freedom = np.maximum(blocks - 1.0, LEAST_FREEDOM)
-    return np.asarray(stdtrit(freedom, BEYOND) / ndtri(BEYOND), dtype=np.float64)
 
 
 def estimate(

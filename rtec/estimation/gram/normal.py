@@ -12,6 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.plain import telling
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -207,8 +209,7 @@ class Normal:
         """
         inverse = self.inverse()
         share = np.maximum(np.einsum("ij,bjk,ki->bi", inverse, self.gram[:, :-1, :-1], inverse, optimize=True), 0.0)
-        squares = (share**2).sum(axis=0)
-        return np.asarray(share.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0))
+        return telling(share)
 
     def scaled(self) -> tuple[Floats, Floats]:
         """Correlation matrix of the columns, and their sizes."""
