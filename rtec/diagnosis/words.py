@@ -85,6 +85,8 @@ def named(channel: str) -> str:
     return titled(channel).rpartition(", ")[0] or titled(channel)
 
 
+A_STEP = "a step at"
+"""So begins the place of a single step."""
 LITTLE = 2.0
 """The readings show little where half of the tested effects are detected only above this many times the residual."""
 TOGETHER = "to be added together with rank 1"
@@ -153,6 +155,8 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         at = f", {d.unknown.where}" if d.unknown.where else ""
         if d.unknown.shape == "steps":
             how, at = ("", f", with {d.unknown.where}") if at else ("in steps ", "")
+        elif d.unknown.where.startswith(A_STEP):
+            how, at = "", f", with {d.unknown.where}"
         if d.unknown.step_mm is not None:
             at += f"; targets every {d.unknown.step_mm:.4g} mm show these periods alike, unequal steps do not"
         near = "; it rises with time in this record, so a drift would look alike" if d.unknown.with_time else ""
