@@ -4,7 +4,8 @@ Files and JSON keep the codes.
 """
 
 import math
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -108,8 +109,31 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
     if odd and d.verdict == "undecided":
         return replace(d, sentence=" ".join([*odd, *_until_then(d)]))
     verdict = _sentence(d, smallest) + _beside_instrument(d)
-    verdict = " ".join([sentence(verdict), *foreign]) if foreign else verdict
+    verdict = " ".join([sentence(verdict), *of_files(foreign)]) if foreign else verdict
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
+
+
+FOREIGN = re.compile(r"(The model leaves )(.+? of .+?)(, and left .+)", re.DOTALL)
+
+
+def of_files(texts: Sequence[str]) -> list[str]:
+    """The same texts on files that may be of another machine; those that differ in the file only are one, of all files.
+
+    Args:
+        texts: each on one file.
+    """
+    groups: dict[str, list[str]] = {}
+    for text in texts:
+        match = FOREIGN.fullmatch(text)
+        groups.setdefault(match[3] if match else text, []).append(match[2] if match else "")
+    out = []
+    for rest, files in groups.items():
+        listed = " and ".join([", ".join(files[:-1]), files[-1]] if len(files) > 1 else files)
+        many = rest
+        for one, other in ("the file is of", "the files are of"), ("whether it is of", "whether they are of"):
+            many = many.replace(one, other) if len(files) > 1 else many
+        out.append(f"The model leaves {listed}{many}" if files[0] else rest)
+    return out
 
 
 def _until_then(d: Diagnosis) -> list[str]:
@@ -128,13 +152,14 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     if d.verdict == "missing_effect":
         f = d.findings[0]
         if f.partner is not None:
-            one, other = labels([f, f.partner])
+            both = zip([f, f.partner], labels([f, f.partner]), strict=True)
+            one, other = (with_period(name, t.theta) for t, name in both)
             return (
                 f"{one} and {other} are missing together, neither lowers the error on held-out runs alone: adding "
                 f"both removes {percent(f.heldout_drop)} of the held-out mean square error{other_parts(f)}"
             )
         return (
-            f"{f.label} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
+            f"{with_period(f.label, f.theta)} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
             f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
             f"{_same_jump(f)}{other_parts(f)}"
         )
@@ -185,6 +210,14 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
 
 
+def with_period(label: str, theta: Mapping[str, float]) -> str:
+    """The name of an effect, and the period of a wave along an axis where the name has none."""
+    key = next((n for n in ("period", "pitch") if n in theta), None)
+    if key is None or f", {key} " in label:
+        return label
+    return f"{label} with a period of {significant(theta[key], 4)} mm"
+
+
 def drifts(d: Diagnosis) -> str:
     """Where the residual is far above the noise: how much of it is slow drift, as the end of a sentence."""
     if d.judged is None or d.rms_residual <= ABOVE * d.noise_floor or d.judged.drift <= d.noise_floor:
@@ -219,7 +252,10 @@ def _together(d: Diagnosis) -> str:
     # One that is larger without the next has no share of its own; of many the table has the shares.
     apart, few = min(falls) >= 0.0 and len(falls) <= FEW, len(falls) <= FEW
     parts = []
-    for m, name, fall in zip(d.together, labels([m.fitted for m in d.together]), falls, strict=True):
+    labelled = zip(d.together, labels([m.fitted for m in d.together]), strict=True)
+    names = [with_period(name, m.fitted.theta) for m, name in labelled]
+    listed = list(zip(d.together, names, falls, strict=True))
+    for m, name, fall in sorted(listed, key=lambda t: -t[2]) if min(falls) >= 0.0 else listed:
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
         either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals and few else []
         parts.append(" ".join([name, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
@@ -283,7 +319,8 @@ def _one_of(d: Diagnosis) -> str:
     more = f"; {beside}, which explains another part of the readings, may be missing too" if beside else ""
     if len(names) == 1:
         forms = "; its form cannot be determined from these data" if len(group) > 1 else ""
-        return f"{first.label} is missing{forms}{more}{other_parts(first)}: add it, then diagnose again"
+        name = with_period(first.label, first.theta)
+        return f"{name} is missing{forms}{more}{other_parts(first)}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
     way = f". To separate them: {test}" if test else ""
     way = f". {sentence(test)}" if test.startswith(NONE_SETTLES) else way

@@ -241,8 +241,9 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
 
 def _weight(d: Diagnosis) -> list[tuple[str, str]]:
     """How sure the answer is: a number and its words."""
-    if len(d.together) > 1:
-        return [(percent(d.together[-1].heldout_drop), "of the held-out mean square error, removed by all together")]
+    if d.together:
+        all_together = " by all together" if len(d.together) > 1 else ""
+        return [(percent(d.together[-1].heldout_drop), f"of the held-out mean square error, removed{all_together}")]
     return [(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []
 
 
@@ -277,7 +278,21 @@ def _brief(d: Diagnosis) -> Table | None:
     if d.runs is not None:  # too few runs decide: drift explains them as well, which the probability takes into account
         head, rows = head[:-1], [r[:-1] for r in rows]
     more = f" {counted(len(d.findings) - BRIEF, 'more candidate')} with --full." if len(d.findings) > BRIEF else ""
-    return Table(head, rows, f"Falls by: share of the mean square.{more}")
+    why = f" {_less_likely_first(d)}" if d.runs is None and _less_likely_first(d) else ""
+    return Table(head, rows, f"Falls by: share of the mean square.{why}{more}")
+
+
+def _less_likely_first(d: Diagnosis) -> str:
+    """Why the first candidate is named though another is likelier; empty where none is, or none is named."""
+    first, *others = d.findings
+    if not first.accepted or all(f.confidence <= first.confidence for f in others):
+        return ""
+    if d.together:
+        return "Probability: that it is all that is missing; the first is named beside what has no name."
+    return (
+        "The first is less probable, but has fewer numbers and predicts held-out runs as well, or predicts them far "
+        "better."
+    )
 
 
 def _next(d: Diagnosis) -> list[str]:
