@@ -242,8 +242,8 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
 def _weight(d: Diagnosis) -> list[tuple[str, str]]:
     """How sure the answer is: a number and its words."""
     if d.together:
-        all_together = " by all together" if len(d.together) > 1 else ""
-        return [(percent(d.together[-1].heldout_drop), f"of the held-out mean square error, removed{all_together}")]
+        by = "all together" if len(d.together) > 1 else d.together[0].label
+        return [(percent(d.together[-1].heldout_drop), f"of the held-out mean square error, removed by {by}")]
     return [(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []
 
 
@@ -278,8 +278,8 @@ def _brief(d: Diagnosis) -> Table | None:
     if d.runs is not None:  # too few runs decide: drift explains them as well, which the probability takes into account
         head, rows = head[:-1], [r[:-1] for r in rows]
     more = f" {counted(len(d.findings) - BRIEF, 'more candidate')} with --full." if len(d.findings) > BRIEF else ""
-    why = f" {_less_likely_first(d)}" if d.runs is None and _less_likely_first(d) else ""
-    return Table(head, rows, f"Falls by: share of the mean square.{why}{more}")
+    caption = " ".join(filter(None, ["Falls by: share of the mean square.", _less_likely_first(d)]))
+    return Table(head, rows, caption + more)
 
 
 def _less_likely_first(d: Diagnosis) -> str:

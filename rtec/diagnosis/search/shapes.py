@@ -452,20 +452,16 @@ HALVINGS = 3
 def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[Weighed]:
     """The best hump and the best step along a position.
 
-    Beside a curve of the model only the place itself explains a step: a sharp one is tried in every gap, and narrow
-    humps are as close as they are wide.
+    Beside a curve of the model only the place itself explains a step: a sharp one is tried in every gap.
     """
     mine = ground.known[name][ground.groups[group]]
     span = float(np.ptp(mine))
     apart = span / CENTRES
+    centres = float(mine.min()) + apart * (np.arange(CENTRES) + 0.5)
     forms: tuple[Literal["hump", "step"], ...] = ("hump", "step")
 
     def weighed(places: Iterable[LocalPlace]) -> list[Weighed]:
         return weigh_all(ground, projected, (Shape(group, (name,), (0,), place=p) for p in places))[:1]
-
-    def centres(width: float) -> Floats:
-        count = math.ceil(span / min(apart, width))
-        return np.asarray(float(mine.min()) + span / count * (np.arange(count) + 0.5))
 
     out: list[Weighed] = []
     for form in forms:
@@ -475,8 +471,7 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
             # one is a bow.
             narrowest, widest = (max(NARROWEST, 1.0 / _places(mine)), LOCAL) if form == "hump" else (NARROWEST, STEEP)
         ratio = (widest / narrowest) ** (1.0 / (WIDTHS - 1))
-        widths = [narrowest * span * ratio**k for k in range(WIDTHS)]
-        grid = [LocalPlace(form, float(c), w) for w in widths for c in centres(w if form == "hump" else apart)]
+        grid = [LocalPlace(form, float(c), narrowest * span * ratio**k) for c in centres for k in range(WIDTHS)]
         best = weighed([*grid, *(_sharp(mine)[0] if form == "step" else [])])
         step, factor = apart, ratio
         for _ in range(HALVINGS):
