@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member
 from rtec.effects.time_data import MissedCounts
 from rtec.estimation.noise import minutes
 from rtec.model import FittedEffect
@@ -257,7 +257,8 @@ def _together(d: Diagnosis) -> str:
     listed = list(zip(d.together, names, falls, strict=True))
     for m, name, fall in sorted(listed, key=lambda t: -t[2]) if min(falls) >= 0.0 else listed:
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
-        either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals and few else []
+        others = rivals_of(m, d)
+        either = [f"or {' or '.join(others[:2])} in its place"] if others and few else []
         parts.append(" ".join([name, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
     if not apart and len(parts) > 1:
         parts[-1] += (
@@ -271,6 +272,12 @@ def _together(d: Diagnosis) -> str:
     same = other_parts(d.findings[0])
     text = f"{named_so} {are} missing{same}; what stays has no name in the catalogue and depends on {where}"
     return text + _within(d) + _by_heat(d)
+
+
+def rivals_of(m: Member, d: Diagnosis) -> list[str]:
+    """What may be missing in the place of one of several effects, and is not named beside it anyway."""
+    there = {other.label for other in d.together}
+    return [r for r in m.rivals if r not in there]
 
 
 def _beside_instrument(d: Diagnosis) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
-from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, sentence
+from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, rivals_of, sentence
 from rtec.effects import Effect
 from rtec.effects.effect_list import as_options, as_text
 from rtec.report.evidence import Amplitudes, Evidence, evidence
@@ -251,7 +251,7 @@ def _together(d: Diagnosis) -> Table:
     """Table of the effects that are missing together."""
     names = labels([m.fitted for m in d.together])
     rows = [
-        [name, percent(max(m.heldout_drop, 0.0)), " or ".join(m.rivals[:2]) or "no other"]
+        [name, percent(max(m.heldout_drop, 0.0)), " or ".join(rivals_of(m, d)[:2]) or "no other"]
         for m, name in zip(d.together, names, strict=True)
     ]
     caption = "Falls by: share of the held-out mean square error, with the effects above it. One by one: --full."

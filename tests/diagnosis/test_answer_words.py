@@ -47,6 +47,13 @@ def test_what_removes_most_is_named_first() -> None:
     assert order.startswith("polynomial_position(EXX, X) and axis_expansion(EXX, X, T_bed), which together remove 30 %")
 
 
+def test_what_is_named_beside_an_effect_is_no_rival_of_it() -> None:
+    other = "mount_expansion(EXX, T_bed)"
+    both = (Member(GROWTH, 0.28), Member(CURVE, 0.30, ("axis_expansion(EXX, X, T_bed)", other)))
+    said = answer("missing_effect", finding(GROWTH), together=both).sentence
+    assert f"(2.0 % of the held-out mean square error, or {other} in its place)" in said
+
+
 def test_a_wave_is_named_with_its_period() -> None:
     wave = "cyclic_pole(EXX, X) with a period of 39.87 mm"
     assert answer("missing_effect", finding(WAVE)).sentence.startswith(f"{wave} is missing: it explains ")
