@@ -4,11 +4,12 @@ Files and JSON keep the codes.
 """
 
 import math
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member
 from rtec.effects.time_data import MissedCounts
 from rtec.estimation.noise import minutes
 from rtec.model import FittedEffect
@@ -85,6 +86,8 @@ def named(channel: str) -> str:
     return titled(channel).rpartition(", ")[0] or titled(channel)
 
 
+A_STEP = "a step at"
+"""So begins the place of a single step."""
 LITTLE = 2.0
 """The readings show little where half of the tested effects are detected only above this many times the residual."""
 TOGETHER = "to be added together with rank 1"
@@ -106,8 +109,31 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
     if odd and d.verdict == "undecided":
         return replace(d, sentence=" ".join([*odd, *_until_then(d)]))
     verdict = _sentence(d, smallest) + _beside_instrument(d)
-    verdict = " ".join([sentence(verdict), *foreign]) if foreign else verdict
+    verdict = " ".join([sentence(verdict), *of_files(foreign)]) if foreign else verdict
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
+
+
+FOREIGN = re.compile(r"(The model leaves )(.+? of .+?)(, and left .+)", re.DOTALL)
+
+
+def of_files(texts: Sequence[str]) -> list[str]:
+    """The same texts on files that may be of another machine; those that differ in the file only are one, of all files.
+
+    Args:
+        texts: each on one file.
+    """
+    groups: dict[str, list[str]] = {}
+    for text in texts:
+        match = FOREIGN.fullmatch(text)
+        groups.setdefault(match[3] if match else text, []).append(match[2] if match else "")
+    out = []
+    for rest, files in groups.items():
+        listed = " and ".join([", ".join(files[:-1]), files[-1]] if len(files) > 1 else files)
+        many = rest
+        for one, other in ("the file is of", "the files are of"), ("whether it is of", "whether they are of"):
+            many = many.replace(one, other) if len(files) > 1 else many
+        out.append(f"The model leaves {listed}{many}" if files[0] else rest)
+    return out
 
 
 def _until_then(d: Diagnosis) -> list[str]:
@@ -126,13 +152,14 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     if d.verdict == "missing_effect":
         f = d.findings[0]
         if f.partner is not None:
-            one, other = labels([f, f.partner])
+            both = zip([f, f.partner], labels([f, f.partner]), strict=True)
+            one, other = (with_period(name, t.theta) for t, name in both)
             return (
                 f"{one} and {other} are missing together, neither lowers the error on held-out runs alone: adding "
                 f"both removes {percent(f.heldout_drop)} of the held-out mean square error{other_parts(f)}"
             )
         return (
-            f"{f.label} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
+            f"{with_period(f.label, f.theta)} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
             f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
             f"{_same_jump(f)}{other_parts(f)}"
         )
@@ -153,6 +180,8 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         at = f", {d.unknown.where}" if d.unknown.where else ""
         if d.unknown.shape == "steps":
             how, at = ("", f", with {d.unknown.where}") if at else ("in steps ", "")
+        elif d.unknown.where.startswith(A_STEP):
+            how, at = "", f", with {d.unknown.where}"
         if d.unknown.step_mm is not None:
             at += f"; targets every {d.unknown.step_mm:.4g} mm show these periods alike, unequal steps do not"
         near = "; it rises with time in this record, so a drift would look alike" if d.unknown.with_time else ""
@@ -179,6 +208,14 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             else f" (half of those tested {size})"
         )
     return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
+
+
+def with_period(label: str, theta: Mapping[str, float]) -> str:
+    """The name of an effect, and the period of a wave along an axis where the name has none."""
+    key = next((n for n in ("period", "pitch") if n in theta), None)
+    if key is None or f", {key} " in label:
+        return label
+    return f"{label} with a period of {significant(theta[key], 4)} mm"
 
 
 def drifts(d: Diagnosis) -> str:
@@ -215,9 +252,13 @@ def _together(d: Diagnosis) -> str:
     # One that is larger without the next has no share of its own; of many the table has the shares.
     apart, few = min(falls) >= 0.0 and len(falls) <= FEW, len(falls) <= FEW
     parts = []
-    for m, name, fall in zip(d.together, labels([m.fitted for m in d.together]), falls, strict=True):
+    labelled = zip(d.together, labels([m.fitted for m in d.together]), strict=True)
+    names = [with_period(name, m.fitted.theta) for m, name in labelled]
+    listed = list(zip(d.together, names, falls, strict=True))
+    for m, name, fall in sorted(listed, key=lambda t: -t[2]) if min(falls) >= 0.0 else listed:
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
-        either = [f"or {' or '.join(m.rivals[:2])} in its place"] if m.rivals and few else []
+        others = rivals_of(m, d)
+        either = [f"or {' or '.join(others[:2])} in its place"] if others and few else []
         parts.append(" ".join([name, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
     if not apart and len(parts) > 1:
         parts[-1] += (
@@ -231,6 +272,12 @@ def _together(d: Diagnosis) -> str:
     same = other_parts(d.findings[0])
     text = f"{named_so} {are} missing{same}; what stays has no name in the catalogue and depends on {where}"
     return text + _within(d) + _by_heat(d)
+
+
+def rivals_of(m: Member, d: Diagnosis) -> list[str]:
+    """What may be missing in the place of one of several effects, and is not named beside it anyway."""
+    there = {other.label for other in d.together}
+    return [r for r in m.rivals if r not in there]
 
 
 def _beside_instrument(d: Diagnosis) -> str:
@@ -279,7 +326,8 @@ def _one_of(d: Diagnosis) -> str:
     more = f"; {beside}, which explains another part of the readings, may be missing too" if beside else ""
     if len(names) == 1:
         forms = "; its form cannot be determined from these data" if len(group) > 1 else ""
-        return f"{first.label} is missing{forms}{more}{other_parts(first)}: add it, then diagnose again"
+        name = with_period(first.label, first.theta)
+        return f"{name} is missing{forms}{more}{other_parts(first)}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
     way = f". To separate them: {test}" if test else ""
     way = f". {sentence(test)}" if test.startswith(NONE_SETTLES) else way

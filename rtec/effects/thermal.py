@@ -197,7 +197,7 @@ class ColumnTilt(Effect):
     def suggest(cls, around: Surroundings) -> Iterator[Effect]:
         """Also the roll of an axis at rest: a column that travels along X and leans back turns about X."""
         rolls = around.axis is None and component_kind(around.component, around.machine) == "roll"
-        if not rolls or "tilt" not in cls.feeds:
+        if not rolls or "axis" in cls.model_fields:
             yield from super().suggest(around)
             return
         for sensors in cls.arguments(around):
@@ -236,22 +236,30 @@ class ColumnTilt(Effect):
 
 
 class BedBending(ColumnTilt, AxisEffect):
-    """A bed that is warmer on one side bends: `e = k (T_front - T_back) u²`."""
+    """A bed that is warmer on one side bends: `e = k (T_front - T_back) u²`, and its slope along the bed.
+
+    A slide on the bent bed shifts by the bow and turns by its slope: an angle is `e = k_a (T_front - T_back) u`. One
+    bend has `k_a = ± 2000 k / h`, with `k` in µm/K, `h` half the travel in mm, and `k_a` in µrad/K at its ends. Of a
+    slide that carries the tool the sign is + for the pairs `EYX, ECX`, `EZY, EAY` and `EXZ, EBZ`, and - for `EZX, EBX`,
+    `EXY, ECY` and `EYZ, EAZ`. Of one that carries the work piece it is the opposite, for it moves the other way.
+    """
 
     about: ClassVar[About] = About(
         title="Bed bends by a temperature difference",
-        equation="e = k·(T_front - T_back)·u², u = position scaled to -1..+1 over the travel",
-        typical="1-10 µm/K",
-        seen_by=("straightness", "level", "tool_tip"),
-        source="catalogue A4",
+        equation="e = k·(T_front - T_back)·u², an angle e = k·(T_front - T_back)·u, u = position scaled to -1..+1 over "
+        "the travel",
+        typical="1-10 µm/K; 2-20 µrad/K at the ends of the travel",
+        seen_by=("straightness", "laser_angular", "level", "tool_tip"),
+        source="catalogue A4; an angle: the slope of the bow",
         confusions=(
             Confusion("straightness", "the part of it that stands still", "repeat hot and cold"),
+            Confusion("angular_motion", "the angle that stands still", "repeat hot and cold"),
             Confusion("column_tilt", "an even tilt", "levels along the bed"),
             Confusion("load_deformation", "the load was changed with the heat", "load at one temperature"),
         ),
-        reveal="straightness repeated hot and cold",
+        reveal="straightness, or a level along the bed, repeated hot and cold",
     )
-    feeds: ClassVar[tuple[Kind, ...]] = ("straightness",)
+    feeds: ClassVar[tuple[Kind, ...]] = ("straightness", "tilt")
     driven_by: ClassVar[tuple[str, ...]] = ("position", "two temperatures")
     effect: Literal["bed_bending"] = "bed_bending"  # type: ignore[assignment]
 
@@ -260,9 +268,9 @@ class BedBending(ColumnTilt, AxisEffect):
         return (self.the_axis(machine).channel, self.front, self.back)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """`(T_front - T_back) u²`."""
+        """`(T_front - T_back) u²`; of an angle `(T_front - T_back) u`."""
         u = scaled(self.the_axis(machine), channels)
-        return [self.difference(channels, theta) * u * u]
+        return [self.difference(channels, theta) * u * (1.0 if self.unit == "urad" else u)]
 
 
 class MountExpansion(OneSensor):

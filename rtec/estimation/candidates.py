@@ -12,7 +12,7 @@ from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import GROWTHS, PITCH_MM, Cyclic, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
-from rtec.effects.thermal import ColumnTilt
+from rtec.effects.thermal import BedBending, ColumnTilt
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import VisibleComponent, axis_of, moves, visible_components, within_record
@@ -105,9 +105,11 @@ def library(
 def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> bool:
     """Whether an effect is an angle that grows linearly, and shifts read it at one lever arm only.
 
-    These readings cannot distinguish it from a scale, a squareness or a straightness; each of them is a candidate too.
+    These readings cannot distinguish it from a scale, a squareness or a straightness, or from the expansion of a screw;
+    each of them is a candidate too.
     """
-    if 1 not in getattr(effect, "degrees", ()) or component_unit(seen.name) != "urad":
+    grows = 1 in getattr(effect, "degrees", ()) or isinstance(effect, BedBending)
+    if not grows or component_unit(seen.name) != "urad":
         return False
     arms = readings.arms(seen.name)
     mine = [arms[s.part] for s in readings.series if arms[s.part].any()]

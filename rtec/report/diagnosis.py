@@ -11,7 +11,7 @@ import numpy as np
 
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
-from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, sentence
+from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, rivals_of, sentence
 from rtec.effects import Effect
 from rtec.effects.effect_list import as_options, as_text
 from rtec.report.evidence import Amplitudes, Evidence, evidence
@@ -241,8 +241,9 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
 
 def _weight(d: Diagnosis) -> list[tuple[str, str]]:
     """How sure the answer is: a number and its words."""
-    if len(d.together) > 1:
-        return [(percent(d.together[-1].heldout_drop), "of the held-out mean square error, removed by all together")]
+    if d.together:
+        by = "all together" if len(d.together) > 1 else d.together[0].label
+        return [(percent(d.together[-1].heldout_drop), f"of the held-out mean square error, removed by {by}")]
     return [(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []
 
 
@@ -250,7 +251,7 @@ def _together(d: Diagnosis) -> Table:
     """Table of the effects that are missing together."""
     names = labels([m.fitted for m in d.together])
     rows = [
-        [name, percent(max(m.heldout_drop, 0.0)), " or ".join(m.rivals[:2]) or "no other"]
+        [name, percent(max(m.heldout_drop, 0.0)), " or ".join(rivals_of(m, d)[:2]) or "no other"]
         for m, name in zip(d.together, names, strict=True)
     ]
     caption = "Falls by: share of the held-out mean square error, with the effects above it. One by one: --full."
@@ -277,7 +278,21 @@ def _brief(d: Diagnosis) -> Table | None:
     if d.runs is not None:  # too few runs decide: drift explains them as well, which the probability takes into account
         head, rows = head[:-1], [r[:-1] for r in rows]
     more = f" {counted(len(d.findings) - BRIEF, 'more candidate')} with --full." if len(d.findings) > BRIEF else ""
-    return Table(head, rows, f"Falls by: share of the mean square.{more}")
+    caption = " ".join(filter(None, ["Falls by: share of the mean square.", _less_likely_first(d)]))
+    return Table(head, rows, caption + more)
+
+
+def _less_likely_first(d: Diagnosis) -> str:
+    """Why the first candidate is named though another is likelier; empty where none is, or none is named."""
+    first, *others = d.findings
+    if not first.accepted or all(f.confidence <= first.confidence for f in others):
+        return ""
+    if d.together:
+        return "Probability: that it is all that is missing; the first is named beside what has no name."
+    return (
+        "The first is less probable, but has fewer numbers and predicts held-out runs as well, or predicts them far "
+        "better."
+    )
 
 
 def _next(d: Diagnosis) -> list[str]:

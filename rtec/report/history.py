@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 WHY_ENDED = {
     "nothing_missing": "no effect is missing that these readings could show",
-    "undecided": "these readings do not decide what is missing, see the last diagnosis",
+    "undecided": "these readings do not decide what is missing",
     "unknown_effect": "the effect that is missing is not in the catalogue",
     "ambiguous": "the next effect cannot be determined from these data",
     "stopped": "you stopped it",
@@ -144,6 +144,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
             f"{refit}{added} added: the residual on held-out runs {went}; "
             f"the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {_why_ended(r)}."
         )
+        lead += f" {_last_verdict(r)}" if r.reason in ("undecided", "ambiguous") else ""
         near = [", ".join(s.labels) for s in r.steps if any(n.startswith(NEAREST) for n in s.notes)]
         lead += f" {' and '.join(near)}: only the nearest of the catalogue to what was missing." if near else ""
         shapes = [", ".join(s.labels) for s in r.steps if any(n.startswith(SHAPE) for n in s.notes)]

@@ -15,7 +15,7 @@ from rtec.effects.expression import expression_from_text
 from rtec.estimation.readings import read
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.model import Model
+from rtec.model import FittedEffect, Model
 from tests.support.diagnosis_examples import effects, small_machine
 
 Floats = NDArray[np.float64]
@@ -118,3 +118,42 @@ def test_no_effect_is_named_twice_with_other_knots(seed: int) -> None:
     named += [f.effect for f in (first, first.partner) if f is not None and first.accepted and not d.together]
     kinds = [(e.effect, e.component) for e in named if e.effect == "piecewise_position"]
     assert len(kinds) == len(set(kinds)), d.sentence
+
+
+CURVE_MM = tuple(5.0 + 23.75 * i for i in range(9))
+
+
+def beside_curve(m: Measurement) -> Diagnosis:
+    """Diagnosis with a model that has a free curve along X, of nine knots."""
+    curve = effect_class("piecewise_position", "test").model_validate(
+        {"effect": "piecewise_position", "component": "EXX", "axis": "X", "knots_mm": CURVE_MM}
+    )
+    known = effects("scale,component=EXX,axis=X,k=0", "backlash,component=EXX,axis=X,B=0")
+    bent = FittedEffect(curve, {f"at{i}": 0.0 for i in range(len(CURVE_MM))}, {})
+    return diagnose(Model(small_machine(), (*known, bent), name="known"), [m], draws=50, explain=True)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_one_step_is_found_beside_a_curve_that_has_taken_up_a_part_of_it(seed: int) -> None:
+    """Oracle: the place that was put in, anywhere between two knots; it had been a dip or a hump somewhere near."""
+    rng = np.random.default_rng([seed, 24])
+    at, by = rng.uniform(40.0, 160.0), rng.choice([-1.0, 1.0]) * rng.uniform(1.8, 2.6)
+    heights = rng.normal(0.0, 2.0, len(CURVE_MM))
+    d = beside_curve(line(lambda x: np.interp(x, CURVE_MM, heights) + by * (x > at), seed))
+    where = re.search(r"depends on X, with a step at X ≈ ([\d.]+) mm", d.sentence)
+    assert d.verdict == "unknown_effect"
+    assert where, d.sentence
+    assert float(where[1]) == pytest.approx(at, abs=1.6 * STEP_MM)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "error",
+    [lambda x: 0.0 * x, lambda x: 2.5 * np.exp(-(((x - 111.0) / 14.0) ** 2)), lambda x: 1.5 * np.sin(x / 5.0)],
+    ids=["nothing", "bump", "wave"],
+)
+def test_beside_a_curve_nothing_else_is_called_a_step(error: Callable[[Floats], Floats], seed: int) -> None:
+    """Oracle: what was put in."""
+    heights = np.random.default_rng([seed, 25]).normal(0.0, 2.0, len(CURVE_MM))
+    d = beside_curve(line(lambda x: np.interp(x, CURVE_MM, heights) + error(x), seed))
+    assert " step" not in d.sentence, d.sentence

@@ -175,6 +175,11 @@ OF_PLACE_AND_HEAT: tuple[Example, ...] = (
         axis="Z", front="T_bed", back="T_air", lag=True,
     ),
     example(
+        "bed_bending", "EBX", {"k": "urad_per_degc"},
+        fixed_theta(lambda s: [(s.value("T_bed") - s.value("T_air")) * scaled(s, "X")]),
+        axis="X", front="T_bed", back="T_air",
+    ),
+    example(
         "coolant_expansion", "EX0workpiece", {"k": "um_per_degc"}, fixed_theta(lambda s: [rise(s, "T_air")]),
         sensor="T_air",
     ),

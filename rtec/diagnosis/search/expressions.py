@@ -19,7 +19,7 @@ from rtec.diagnosis.search.confounded import STEPS
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import SHARP, Ground, LocalPlace, weigh
 from rtec.diagnosis.search.unnamed import Shaped
-from rtec.diagnosis.words import named, spoken, unit_of_channel
+from rtec.diagnosis.words import A_STEP, named, spoken, unit_of_channel
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
 from rtec.effects.expression import expression_from_text
@@ -142,13 +142,14 @@ def _of_one(span: Span) -> Iterator[Form]:
 
 
 def _stepped(span: Span, places: Sequence[LocalPlace]) -> Form:
-    """Several steps; each may be anywhere between the values beside it."""
-    terms = [f"tanh(({span.name} - centre{i})/{_short(p.width)})" for i, p in enumerate(places, 1)]
+    """One step or several; each may be anywhere between the values beside it."""
+    names = ["centre"] if len(places) == 1 else [f"centre{i}" for i in range(1, len(places) + 1)]
+    terms = [f"tanh(({span.name} - {n})/{_short(p.width)})" for n, p in zip(names, places, strict=True)]
     searched = (
-        ExpressionSearch(f"centre{i}", p.centre - 0.5 * p.width / SHARP, p.centre + 0.5 * p.width / SHARP, (p.centre,))
-        for i, p in enumerate(places, 1)
+        ExpressionSearch(n, p.centre - 0.5 * p.width / SHARP, p.centre + 0.5 * p.width / SHARP, (p.centre,))
+        for n, p in zip(names, places, strict=True)
     )
-    return Form("steps", _sum(terms), tuple(searched))
+    return Form("step" if len(places) == 1 else "steps", _sum(terms), tuple(searched))
 
 
 def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
@@ -260,11 +261,13 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
     known = shaped.fit.whitener
     whitener = known if few is readings else replace(known, readings=few)
     projected = Projected.of(whitener, base[keep], few.values)
-    forms = list(forms_of(spans, shaped.shape.period, harmonics))
+    shape = shaped.shape
+    stepped = [_stepped(spans[0], shape.places)] if shape.place is not None and shape.place.form == "step" else []
+    forms = stepped if shape.more else [*stepped, *forms_of(spans, shape.period, harmonics)]
     weighed = [
         t
         for component in _components(few, projected, shaped)
-        for form in ([_stepped(spans[0], shaped.shape.places)] if shaped.shape.more else forms)
+        for form in forms
         if (t := _best(few, projected, form, component)) is not None
     ]
     top = max((t.evidence for t in weighed), default=0.0)
@@ -360,7 +363,7 @@ def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Weighed,
             f"a {what} at {name} ≈ {significant(theta['centre'] + first.zero)} {unit}, about {full_width} {unit} wide"
         )
     if best.form.kind == "step":
-        return f"a step at {name} ≈ {significant(theta['centre'] + first.zero)} {unit}"
+        return f"{A_STEP} {name} ≈ {significant(theta['centre'] + first.zero)} {unit}"
     if best.form.kind == "steps":
         places = [significant(theta[p.name] + first.zero) for p in best.form.searched]
         return f"steps at {name} ≈ {', '.join(places[:-1])} and {places[-1]} {unit}"

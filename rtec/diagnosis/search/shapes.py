@@ -450,7 +450,10 @@ HALVINGS = 3
 
 
 def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[Weighed]:
-    """The best hump and the best step along a position."""
+    """The best hump and the best step along a position.
+
+    Beside a curve of the model only the place itself explains a step: a sharp one is tried in every gap.
+    """
     mine = ground.known[name][ground.groups[group]]
     span = float(np.ptp(mine))
     apart = span / CENTRES
@@ -468,7 +471,8 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
             # one is a bow.
             narrowest, widest = (max(NARROWEST, 1.0 / _places(mine)), LOCAL) if form == "hump" else (NARROWEST, STEEP)
         ratio = (widest / narrowest) ** (1.0 / (WIDTHS - 1))
-        best = weighed(LocalPlace(form, float(c), narrowest * span * ratio**k) for c in centres for k in range(WIDTHS))
+        grid = [LocalPlace(form, float(c), narrowest * span * ratio**k) for c in centres for k in range(WIDTHS)]
+        best = weighed([*grid, *(_sharp(mine)[0] if form == "step" else [])])
         step, factor = apart, ratio
         for _ in range(HALVINGS):
             step, factor = 0.5 * step, factor**0.5
@@ -495,10 +499,7 @@ def _steps(ground: Ground, projected: Projected, group: str, name: str) -> list[
     The best two are found together, for each alone may be none beside a scale error; then each further one beside them.
     """
     value, mask = ground.known[name], ground.groups[group]
-    at = np.unique(np.round(value[mask], 3))
-    gaps = np.diff(at)[1:-1]  # the first and the last place alone are no level
-    edges = np.sort(np.argsort(-gaps, kind="stable")[:EDGES]) + 1
-    places = [LocalPlace("step", 0.5 * float(at[i] + at[i + 1]), SHARP * float(at[i + 1] - at[i])) for i in edges]
+    places, edges = _sharp(value[mask])
     if len(places) < BETWEEN + 1:
         return []
     white = projected.whitener(np.stack([p.curve(value) for p in places], axis=1) * mask[:, None])
@@ -517,7 +518,7 @@ def _steps(ground: Ground, projected: Projected, group: str, name: str) -> list[
 
     single = max(range(len(places)), key=lambda i: explained([i]))
     shapes = [Shape(group, (name,), (0,), place=places[single])]
-    most = min(MOST_STEPS, len(at) // (2 * EACH))
+    most = min(MOST_STEPS, _places(value[mask]) // (2 * EACH))
     chosen = _best_two(gram, along, apart) if most > 1 else None
     while chosen is not None:
         for _ in range(SWEEPS):
@@ -530,6 +531,15 @@ def _steps(ground: Ground, projected: Projected, group: str, name: str) -> list[
         shapes.append(Shape(group, (name,), (0,), place=first, more=tuple(more)))
         chosen = best_beside(chosen) if len(chosen) < most else None
     return [w for w in weigh_all(ground, projected, shapes)[:1] if w.shape.more]
+
+
+def _sharp(value: Floats) -> tuple[list[LocalPlace], Ints]:
+    """A sharp step in each of the widest gaps between places, and the numbers of these gaps."""
+    at = np.unique(np.round(value, 3))
+    gaps = np.diff(at)[1:-1]  # the first and the last place alone are no level
+    edges = np.sort(np.argsort(-gaps, kind="stable")[:EDGES]) + 1
+    places = [LocalPlace("step", 0.5 * float(at[i] + at[i + 1]), SHARP * float(at[i + 1] - at[i])) for i in edges]
+    return places, edges
 
 
 def _best_two(gram: Floats, along: Floats, apart: Bools) -> list[int] | None:
