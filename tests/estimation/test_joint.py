@@ -156,7 +156,7 @@ def warm_day(seed: int, level: float, rise: tuple[float, float], *, wander: floa
     error = 1e-3 * x * (8.0 * (bed - 20.0) + 4.0 * (air - 20.0) + wander * rng.normal(size=13)[run])
     return replace(
         laser([], seed),
-        run=run, time_s=600.0 * run + np.arange(len(x)),
+        run=run, time_s=np.asarray(600.0 * run + np.arange(len(x))),
         channels={"x": x, "d_x": way, "T_bed": bed, "T_air": air},
         readings={"reading_um": error + 0.5 * rng.normal(size=len(x))},
     )  # fmt: skip
