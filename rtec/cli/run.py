@@ -211,8 +211,12 @@ def run(
     from rtec.control.server import Control
     from rtec.daemon.disk import new_log_path
     from rtec.daemon.supervisor import Supervisor
+    from rtec.errors import LogError
+    from rtec.files import check_named
     from rtec.loop.clock import RealClock
 
+    if log is not None:
+        check_named(log, LogError)
     path = log or (None if step else new_log_path(setup))
     for axis, um in setup.step_um.items():
         typer.echo(f"sign check: axis {axis} goes by {um:+g} µm; it goes back when you end this with Ctrl-C", err=True)
