@@ -216,7 +216,8 @@ def status(
 ) -> None:
     """Shows the state of a running daemon: correction of each axis, inputs and their ages, faults, missed deadlines.
 
-    Exit status 1 if a device is in trouble, rows do not reach the log, or the loop does not advance.
+    Exit status 1 if a device is in trouble, an input is stale or faulty, the correction is held although nobody ordered
+    it, rows do not reach the log, or the loop does not advance.
 
     Example: `rtec status configs/turning-centre-sim.toml --watch`
     """
