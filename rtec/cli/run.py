@@ -203,20 +203,20 @@ def run(
     Example, a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
     """
     from rtec.daemon.sign_check import load_stepped, step_of
+    from rtec.errors import LogError
+    from rtec.files import check_named
 
     setup = load_stepped(config, step_of(step) if step else {})
+    if log is not None:
+        check_named(log, LogError)
     if dry_run:
         _dry_run(setup, as_json)
         return
     from rtec.control.server import Control
     from rtec.daemon.disk import new_log_path
     from rtec.daemon.supervisor import Supervisor
-    from rtec.errors import LogError
-    from rtec.files import check_named
     from rtec.loop.clock import RealClock
 
-    if log is not None:
-        check_named(log, LogError)
     path = log or (None if step else new_log_path(setup))
     for axis, um in setup.step_um.items():
         typer.echo(f"sign check: axis {axis} goes by {um:+g} µm; it goes back when you end this with Ctrl-C", err=True)
