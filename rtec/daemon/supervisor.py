@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from rtec.correction.flags import Flag
 from rtec.daemon.causes import causes
+from rtec.daemon.claim import Claim
 from rtec.daemon.disk import MOST_SECONDS, DiskThread, Keeper, log_folder, new_log
 from rtec.daemon.fastpath import LoopTask, fast_path
 from rtec.daemon.process import Notifier, child_context, signals, signals_wait
@@ -99,7 +100,7 @@ class Supervisor:
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
         self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
         self._memory, disk = MemoryState(self._places.memory), self._places.disk
-        self._disk_state = None if disk is None else DiskState(disk)
+        self._disk_state, self._claim = None if disk is None else DiskState(disk), Claim(setup)
         self._reload = ReloadDesk(setup, self._memory, self._note, self.parts.add("reload"))
         self._step_orders = StepOrders(setup, self._clock)
         self._interrupted, self._ended, self._ends_at_once = False, False, False
@@ -172,13 +173,16 @@ class Supervisor:
             beside: context that starts threads; entered after the loop's process has started, left before it has ended.
 
         Raises:
-            RtecError: another daemon keeps its state in the same file; the fast path could not start, or died.
+            RtecError: another daemon keeps its state in the same file, or commands the same device; the fast path could
+                not start, or died.
         """
         try:
             if self._disk_state is not None:
                 self._disk_state.lock(self._clock)
+            self._claim.take(self._clock)
             return self._run(duration_s, nullcontext() if beside is None else beside)
         finally:
+            self._claim.free()
             self._memory.close()
             if self._disk_state is not None:
                 self._disk_state.close()
