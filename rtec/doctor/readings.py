@@ -31,6 +31,7 @@ from rtec.doctor.ports import (
 from rtec.errors import DriverError, DriverFault
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import CAN_BE
+from rtec.wording import percent
 
 NS = 1e-9
 NOTHING_YET = -(2**62)
@@ -446,7 +447,9 @@ def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -
         what = f"counts are {age_s * 1e3:.1f} ms old when they are read; the correction would hold"
         faults.append(DeviceFault(what, (is_meant,)))
     elif late > MANY_LATE:
-        what = f"{late:.1%} of the counts are older than {allowed_s * 1e3:g} ms when read; the correction would hold"
+        what = (
+            f"{percent(late)} of the counts are older than {allowed_s * 1e3:g} ms when read; the correction would hold"
+        )
         faults.append(DeviceFault(what, (is_meant, enough)))
     elif readings.sends_itself and allowed_s < FEWEST_CYCLES * cycle_ms * 1e-3:
         what = (

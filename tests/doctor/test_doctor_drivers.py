@@ -53,7 +53,7 @@ def test_an_actuator_is_never_told_anything(tmp_path: Path, monkeypatch: pytest.
         ({"late_s": 0.0045}, 200.0, "counts older than 5 ms hold the correction, and a cycle takes 5 ms: the device "),
         ({"late_s": 0.0045}, 401.0, ""),  # two cycles and a little
         ({"late_s": 0.0}, 200.0, ""),  # latched when it is read: no older in any cycle
-        ({"late_s": 0.0045, "later": (30, 0.006)}, 1000.0, "3.3% of the counts are older than 5 ms when read; "),
+        ({"late_s": 0.0045, "later": (30, 0.006)}, 1000.0, "3.3 % of the counts are older than 5 ms when read; "),
         ({"late_s": 0.0045, "later": (150, 0.006)}, 1000.0, ""),  # rtec doctor may have been late itself
     ],
 )
