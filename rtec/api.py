@@ -5,12 +5,14 @@ Long calls report with `progress(stage, done, total)`: the stage in words, the a
 Every error is an `rtec.errors.RtecError`, and its message says what to do.
 """
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from rtec.errors import ConfigError, MeasurementError, ModelError
+from rtec.files import target_of
 from rtec.machine import Machine
 from rtec.machine import load_machine as _load_machine
 from rtec.metrology.measurement import Measurement
@@ -219,6 +221,8 @@ def simulate(
     heads = {k: v for k, v in (changes or {}).items() if k not in tables}
     chosen = settings_of(None if settings is None else Path(settings), tables, heads)
     table = None if out is None else table_path(Path(out))
+    if truth_out is not None:
+        target_of(Path(truth_out), ModelError)
     result = simulate_with_truth(true, made, chosen, seed, "simulated" if table is None else table.stem)
     written: dict[str, Path | None] = {"table": table, "toml": None if table is None else table.with_suffix(".toml")}
     if table is not None:
@@ -257,10 +261,8 @@ def fit(
     """
     from rtec.characterise import characterise, read_wanted
 
-    known, target = _machine(machine), None if out is None else Path(out)
-    given = _listed(measurements)
-    if target is not None:
-        _check_out(target, [p for p in (machine, *given) if isinstance(p, str | Path)])
+    known, given = _machine(machine), _listed(measurements)
+    target = _check_out(out, [p for p in (machine, *given) if isinstance(p, str | Path)])
     names = effects if isinstance(effects, str) or effects is None else ",".join(effects)
     wanted = read_wanted(names, known) if names else None
     if progress:
@@ -391,11 +393,13 @@ def add(
     """
     from rtec.diagnosis.extend.add import add as add_effects
 
+    given = _listed(measurements)
+    wanted = _check_out(out, [p for p in given if isinstance(p, str | Path)])
     known, _, _ = _model(model, machine)
-    read, paths = _measurements(_listed(measurements), known.machine)
+    read, paths = _measurements(given, known.machine)
     new = _new_effects(known, effect, component, expr, params, arguments or {})
     added = add_effects(known, new, read, stage=progress)
-    target = Path(out) if out is not None and (added.better or force) else None
+    target = wanted if added.better or force else None
     if target is not None:
         save_model(added.model, target)
     return _finished(added, target, paths, report, {"model_file": target})
@@ -434,9 +438,10 @@ def improve(
     """
     from rtec.diagnosis.extend.improve import improve as go_on
 
+    given = _listed(measurements)
+    target = _check_out(out, [p for p in given if isinstance(p, str | Path)])
     known, _, _ = _model(model, machine)
-    read, paths = _measurements(_listed(measurements), known.machine)
-    target = None if out is None else Path(out)
+    read, paths = _measurements(given, known.machine)
     done: list[Path] = []
 
     def keep(added: "Added") -> None:
@@ -759,7 +764,7 @@ def _path(thing: object) -> Path | None:
 def _plain_table(table: MeasurementLike) -> Path | None:
     """The table of a procedure; None for a measurement, which has a TOML beside it or is Parquet."""
     path = _path(table)
-    if path is None or path.suffix in (".toml", ".parquet") or path.with_suffix(".toml").is_file():
+    if path is None or path.suffix in (".toml", ".parquet") or _toml_beside(path).is_file():
         return None
     return path
 
@@ -836,9 +841,20 @@ def _finished(
     return whole if report is None else whole.save_report(report)
 
 
-def _check_out(out: Path, inputs: Sequence[PathLike]) -> None:
-    """Before a long fit: check that the model's file replaces no input, and that its folder exists."""
-    read = {p.resolve() for path in map(Path, inputs) for p in (path, path.with_suffix(".toml"))}
-    if out.resolve() in read:
-        raise ModelError(f"{out}: is read by this fit (a table's TOML counts); name another file with -o")
-    out.parent.mkdir(parents=True, exist_ok=True)
+def _check_out(out: PathLike | None, inputs: Sequence[PathLike]) -> Path | None:
+    """Before a long fit: check that the model's file replaces no input, and may be written; make its folder."""
+    if out is None:
+        return None
+    target = Path(out)
+    read = {os.path.realpath(p) for path in map(Path, inputs) for p in (path, _toml_beside(path))}
+    if os.path.realpath(target_of(target, ModelError)) in read:
+        raise ModelError(f"{target}: is read by this fit (a table's TOML counts); name another file with -o")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise ModelError(f"{target}: cannot be written: {e.strerror or e}") from e
+    return target
+
+
+def _toml_beside(table: Path) -> Path:
+    return table.with_suffix(".toml") if table.name else table

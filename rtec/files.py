@@ -1,6 +1,12 @@
-"""Files: written whole or not at all, and refused where they do not fit into this computer's memory."""
+"""Files: written whole or not at all, and refused where they do not fit into this computer's memory.
 
+A file takes the place of a regular file only. A symbolic link stays, and its target is written; a folder, a device, a
+FIFO or a socket is refused.
+"""
+
+import errno
 import os
+import stat
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -8,6 +14,42 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from rtec.errors import RtecError
+
+_KINDS: Final = (
+    (stat.S_ISDIR, "a folder; name a file"),
+    (stat.S_ISFIFO, "a FIFO, no regular file; name another one"),
+    (stat.S_ISSOCK, "a socket, no regular file; name another one"),
+)
+
+
+def check_named(path: Path, error: type[RtecError]) -> None:
+    """Refuse ".", ".." and "/", which have no name that could get an end such as `.toml`.
+
+    Raises:
+        error: with the path.
+    """
+    if path.name in ("", ".."):
+        raise error(f"{path}: cannot be written: it is {_KINDS[0][1]}")
+
+
+def target_of(path: Path, error: type[RtecError]) -> Path:
+    """The regular file that a file of this path becomes: the target of a symbolic link, else the path itself.
+
+    Args:
+        path: path of the file; it need not exist.
+        error: raised where it is no regular file, with the path and what it is.
+    """
+    check_named(path, error)
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        mode = stat.S_IFREG
+    except OSError as e:
+        raise error(f"{path}: cannot be written: {e.strerror or e}") from e
+    if not stat.S_ISREG(mode):
+        kind = next((text for is_it, text in _KINDS if is_it(mode)), "a device, no regular file; name another one")
+        raise error(f"{path}: cannot be written: it is {kind}")
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 @contextmanager
@@ -17,21 +59,24 @@ def whole(path: Path, error: type[RtecError], replace: bool = True) -> Iterator[
     Several processes may write the same name at a time: each writes a file of its own, and the last one stays.
 
     Args:
-        path: path of the file; its folder must exist.
+        path: path of the file; its folder must exist. A symbolic link stays one, and its target is replaced.
         error: raised where it cannot be written, with the path and the reason.
         replace: replace an existing file.
 
     Raises:
         FileExistsError: the file exists, and `replace` is False.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.part")
+    if not replace and os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    target = target_of(path, error)
+    part = target.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.part")
     try:
         with part.open("wb") as out:
             yield out
             out.flush()
             os.fsync(out.fileno())
         if replace:
-            part.replace(path)
+            part.replace(target)
         else:
             os.link(part, path)
     except FileExistsError:

@@ -436,6 +436,7 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "patterns": "['T1=(?P<T_bed>\\S+)']",
     "request": '"READ?\\r"',
     "stuck_after_s": "900.0",
+    "timeout_ms": "5.0",
     "host": '"192.168.1.60"',
     "restarted": '"READY.*"',
     "thermocouple": '"K"',

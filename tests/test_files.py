@@ -1,6 +1,7 @@
 """A file appears whole or not at all. Oracle: the folder."""
 
 import os
+import socket
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Literal
@@ -48,6 +49,54 @@ def test_one_that_is_there_may_be_kept(tmp_path: Path) -> None:
         out.write(b"new")
     assert file.read_text() == "old"
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_symbolic_link_stays_and_its_target_is_written(tmp_path: Path) -> None:
+    """Also through two links, into another folder, and where the target is not there yet."""
+    (tmp_path / "there").mkdir()
+    target, link, further = tmp_path / "there" / "x.toml", tmp_path / "link", tmp_path / "further"
+    link.symlink_to("there/x.toml")
+    further.symlink_to(link)
+    for text in ("new", "newer"):
+        write_text(text, further, ConfigError)
+        assert target.read_text() == text
+        assert (link.readlink(), further.readlink()) == (Path("there/x.toml"), link)
+        assert list((tmp_path / "there").iterdir()) == [target]
+    assert sorted(tmp_path.iterdir()) == [further, link, tmp_path / "there"]
+    with pytest.raises(FileExistsError), whole(further, ConfigError, replace=False) as out:
+        out.write(b"newest")
+    assert target.read_text() == "newer"
+
+
+def test_what_is_no_regular_file_is_refused_and_stays_what_it_is(tmp_path: Path) -> None:
+    """A FIFO, a socket, a folder, each also through a link; a link to itself. Oracle: the kind in `lstat`."""
+    fifo, folder, place = tmp_path / "fifo", tmp_path / "folder", tmp_path / "socket"
+    os.mkfifo(fifo)
+    folder.mkdir()
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(place))
+    (tmp_path / "loop").symlink_to("loop")
+    whats = {"fifo": "a FIFO", "folder": "a folder; name a file", "socket": "a socket", "loop": "Too many levels"}
+    for name, what in whats.items():
+        link = tmp_path / f"to-{name}"
+        link.symlink_to(name)
+        for path in (tmp_path / name, link):
+            before = path.lstat()
+            with pytest.raises(ModelError, match=rf"{name}: cannot be written: .*{what}"):
+                write_text("x", path, ModelError)
+            assert (path.lstat().st_mode, path.lstat().st_ino) == (before.st_mode, before.st_ino)
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("place", [".", "..", "/", "folder/.."])
+def test_a_path_without_a_name_is_one_clear_message(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "folder").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelError, match="cannot be written: it is a folder; name a file"):
+        write_text("x", Path(place), ModelError)
+    assert list(tmp_path.iterdir()) == [tmp_path / "folder"]
 
 
 @pytest.mark.parametrize(("place", "why"), [("none/x.toml", "No such file"), ("file/x.toml", "Not a directory")])

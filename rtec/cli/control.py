@@ -214,9 +214,10 @@ def status(
     at: At = None,
     key: KeyFile = None,
 ) -> None:
-    """Shows the state of a running daemon: correction of each axis, inputs and their ages, faults, missed deadlines.
+    """Shows the state of a running daemon: corrections, inputs and their ages, faults, missed deadlines.
 
-    Exit status 1 if a device is in trouble, rows do not reach the log, or the loop does not advance.
+    Exit status 1 if a device or input is in trouble, the correction holds without an order, rows reach no log, or the
+    loop stands.
 
     Example: `rtec status configs/turning-centre-sim.toml --watch`
     """

@@ -206,7 +206,7 @@ def improve(
         raise typer.BadParameter(
             "asks before each effect, but the input is no terminal; --yes adds them without asking"
         )
-    target = out or model.with_name(f"{model.stem}-improved.toml")
+    target = out or (model.with_name(f"{model.stem}-improved.toml") if model.name else model)
     done: list[str] = []
 
     with interruptible(lambda: kept(target, done)), stages() as stage:

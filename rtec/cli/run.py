@@ -203,8 +203,12 @@ def run(
     Example, a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
     """
     from rtec.daemon.sign_check import load_stepped, step_of
+    from rtec.errors import LogError
+    from rtec.files import check_named
 
     setup = load_stepped(config, step_of(step) if step else {})
+    if log is not None:
+        check_named(log, LogError)
     if dry_run:
         _dry_run(setup, as_json)
         return

@@ -8,6 +8,7 @@ from typing import Any, Final
 import tomli_w
 
 from rtec.commission.answers import FOLDER, Answers, AxisAnswer, template_tables
+from rtec.correction.flags import CYCLES_OF_AGE
 from rtec.loop.clock import RealClock
 from rtec.loop.devices import make_devices
 from rtec.loop.run_file import Setup, setup_of
@@ -130,13 +131,14 @@ def machine_text(answers: Answers) -> str:
 def run_text(answers: Answers) -> str:
     """`run.toml`."""
     driver = str(answers.device.get(answers.role.counts, {}).get("driver", ""))
-    rate_hz, max_age_s = SLOW.get(driver, FAST)
+    usual_hz, max_age_s = SLOW.get(driver, FAST)
+    rate_hz = answers.rate_hz or usual_hz
     corrected = [name for name, axis in answers.axis.items() if axis.compensate]
     limits, sink = answers.limits.of_axis.model_dump(), sink_of(answers)
     run: dict[str, Any] = {
         "machine": MACHINE,
         "model": MODEL,
-        "rate_hz": answers.rate_hz or rate_hz,
+        "rate_hz": rate_hz,
         "mode": answers.mode,
         "log_folder": str(answers.log_folder),
     }
@@ -158,7 +160,7 @@ def run_text(answers: Answers) -> str:
         + _table(
             "guard",
             {
-                "counts_max_age_s": answers.counts_max_age_s or max_age_s,
+                "counts_max_age_s": answers.counts_max_age_s or max(max_age_s, float(f"{CYCLES_OF_AGE / rate_hz:.3g}")),
                 "temperature_max_age_s": answers.temperature_max_age_s,
             },
         ),

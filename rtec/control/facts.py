@@ -16,9 +16,18 @@ _MODES: Final = {
 }
 
 
+INPUT_FAULTS: Final = frozenset({"STALE_COUNTS", "STALE_TEMPERATURE", "SENSOR_FAULT"})
+"""Flags of a device or sensor that gives no good readings, whether it reports a fault or not."""
+
+
 def well(report: Mapping[str, Any]) -> bool:
-    """Is there nothing that a person has to look at?"""
-    return not troubles(report)
+    """Is there nothing that a person has to look at?
+
+    There is where a device, a sensor, a part of the daemon or the log is in trouble, and where the correction is held
+    although nobody ordered that.
+    """
+    status = report["status"]
+    return not (troubles(report) or held(status) or INPUT_FAULTS & set(status["flags"]))
 
 
 def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:

@@ -102,6 +102,10 @@ class Limits(Strict):
         return self
 
 
+CYCLES_OF_AGE: Final = 5
+"""Usual largest age of the counts, cycles: a device that sends by itself is up to one old, and may be late."""
+
+
 class GuardSettings(Strict):
     """Ages at which inputs are too old, and the end of a long hold.
 

@@ -175,6 +175,27 @@ def log_folder(setup: Setup) -> Path | None:
     return (setup.base / folder).resolve()
 
 
+def _named(setup: Setup) -> str:
+    return "LOGS_DIRECTORY" if setup.file.run.log_folder is None else "[run] log_folder"
+
+
+def unusable(folder: Path) -> str:
+    """Why this user cannot write into a folder, which need not exist yet; "" where that is possible."""
+    there = next(p for p in (folder, *folder.parents) if os.path.lexists(p))
+    if not there.is_dir():
+        return f"{'it' if there == folder else there} is no folder"
+    return "" if os.access(there, os.W_OK | os.X_OK) else f"this user may not write into {there}"
+
+
+def folder_faults(setup: Setup) -> list[str]:
+    """Folders of the run file that a run could not use, a line each; nothing is made."""
+    kept = setup.file.run.state_folder
+    folders = {} if kept is None else {"[run] state_folder": (setup.base / kept).resolve()}
+    if (logs := log_folder(setup)) is not None:
+        folders[_named(setup)] = logs
+    return [f"{name} {folder}: {why}" for name, folder in folders.items() if (why := unusable(folder))]
+
+
 def new_log_path(setup: Setup) -> Path | None:
     """Path of the log of a run that starts now: number, date and time, in the run file's log folder.
 
@@ -187,7 +208,7 @@ def new_log_path(setup: Setup) -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
-        raise LogError(f"{folder}: cannot be made: {e.strerror}") from e
+        raise LogError(f"{_named(setup)} {folder}: {unusable(folder) or f'cannot be made: {e.strerror}'}") from e
     return first_name(folder, setup.path.stem, wall_clock_iso().replace(":", "").replace("-", ""))
 
 

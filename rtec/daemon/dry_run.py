@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtec.correction.flags import HOLD_REASONS, MODE_ON, REASONS, Flag
+from rtec.daemon.disk import folder_faults
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
@@ -34,7 +35,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
 
     Returns:
         `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` for which the guard would hold;
-        `troubles` of devices.
+        `troubles` of devices, and of the folders for log and state.
 
     Raises:
         RtecError: a file or device is at fault, or there were no counts.
@@ -68,7 +69,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         "inputs": input_rows(setup, sample),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
         "reasons": [text for flag, text in REASONS.items() if flag & Flag(flags)],
-        "troubles": wrong,
+        "troubles": [*wrong, *folder_faults(setup)],
     }
 
 

@@ -2,7 +2,7 @@
 
 A model of one constant replaces the run file's model: "this axis is 20 µm too low" requests +20 µm. The request passes
 guard, ledger and actuator like every correction, so the limits of the run file hold. The run begins with a return to
-zero, wherever the run before ended, and ends with one.
+zero, wherever the run before ended, and ends with one: the actuator has confirmed an output of zero.
 """
 
 import math
@@ -12,7 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from rtec.correction.flags import MODE_OFF, MODE_ON
+from rtec.correction.flags import MODE_OFF, MODE_ON, Flag
+from rtec.correction.sinks import DEAD_BAND, PulseSink
 from rtec.daemon.status import Status
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
@@ -108,6 +109,8 @@ class StepOrders:
         self._setup, self._clock = setup, clock
         self._begins = bool(setup.step_um)
         self._last_ns: int | None = None
+        self._zero_from: int | None = None
+        self._scales = {a.name: setup.file.output.get(a.name, PulseSink()).scale(a) for a in setup.machine.axes}
         self.lasts_s: float | None = None
 
     def look(self, orders: OrderWords, status: Status, ending: bool) -> bool:
@@ -115,7 +118,7 @@ class StepOrders:
         if not self._setup.step_um:
             return ending
         ending = ending or (self.lasts_s is not None and status.time_s >= self.lasts_s)
-        there = status.cycles > 0 and not any(status.applied_um.values())
+        there = self._at_zero(status)
         if ending:
             orders.mode = MODE_OFF
             return there or self._too_late()
@@ -126,13 +129,43 @@ class StepOrders:
 
     def trouble(self, status: Status) -> str:
         """What the run did not finish; "" where it finished everything."""
-        held = [f"{axis} {um:+.2f} µm" for axis, um in status.applied_um.items() if um and self._setup.step_um]
-        return f"the way back to nothing was not finished, and is held at {', '.join(held)}" if held else ""
+        if not self._setup.step_um:
+            return ""
+        in_machine = self._output_um(status) | {a: um for a, um in status.applied_um.items() if um}
+        if in_machine:
+            held = ", ".join(f"{axis} {um:+.2f} µm" for axis, um in in_machine.items())
+            return f"the way back to nothing was not finished, and is held at {held}"
+        if status.flags & Flag.OUTPUT_TROUBLE:
+            return "the actuator did not confirm that its output is nothing again: compare the indicator"
+        return ""
+
+    def _at_zero(self, status: Status) -> bool:
+        """Is the machine at zero? Zero was commanded, and a later cycle found that the actuator had no other output.
+
+        The correction is at zero before the output is: a slow controller gets its last command up to `period_s` later.
+        """
+        under_way = any(status.applied_um.values()) or bool(self._output_um(status))
+        if not status.cycles or under_way or status.flags & (Flag.LIMITED | Flag.OUTPUT_TROUBLE):
+            self._zero_from = None
+            return False
+        if self._zero_from is None:
+            self._zero_from = status.cycles
+        return status.cycles > self._zero_from
+
+    def _output_um(self, status: Status) -> dict[str, float]:
+        """The output, µm, of each axis that has more than the ledger leaves at zero."""
+        scales = self._scales
+        return {
+            axis: units / scales[axis].units_per_um
+            for axis, units in status.output.items()
+            if abs(units) > DEAD_BAND * scales[axis].quantum
+        }
 
     def _too_late(self) -> bool:
         """The correction is held, so zero cannot be reached: the run ends all the same."""
         if self._last_ns is None:
             limits = self._setup.file.limits.values()
             longest_s = max(2.0 * (x.stop_um / x.slew_um_s + x.slew_um_s / x.acceleration_um_s2) for x in limits)
+            longest_s += 2.0 * max(scale.period_s for scale in self._scales.values())
             self._last_ns = self._clock.now_ns() + round(longest_s * 1e9) + SPARE_NS
         return self._clock.now_ns() > self._last_ns

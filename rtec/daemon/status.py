@@ -17,6 +17,12 @@ from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 from rtec.text import joined, without_numbers
 
 
+def texts_of(flags: Flag, causes: Mapping[str, str]) -> dict[str, str]:
+    """Texts of flags for people, by the flag's name, each with its cause where that is known."""
+    texts = {flag.name or "": text for flag, text in REASONS.items() if flag in flags}
+    return {name: f"{text}: {causes[name]}" if name in causes else text for name, text in texts.items()}
+
+
 @dataclass
 class Status:
     """The newest row in words, with the loop's other figures.
@@ -29,6 +35,8 @@ class Status:
         requested_um, applied_um, output, counts: by axis name.
         counts_age_s: age of the counts when the row was made.
         flags: bits of `Flag`.
+        causes: which device, sensor or axis a flag is about, and what is allowed, by the flag's name; only where that
+            can be named.
         degc, degc_age_s: by sensor name.
         spindle_rpm: NaN where it is not known.
         devices: present faults by device; only devices with a fault.
@@ -54,6 +62,7 @@ class Status:
     counts: dict[str, int] = field(default_factory=dict)
     counts_age_s: float = 0.0
     flags: Flag = field(default_factory=lambda: Flag(0))
+    causes: dict[str, str] = field(default_factory=dict)
     degc: dict[str, float] = field(default_factory=dict)
     degc_age_s: dict[str, float] = field(default_factory=dict)
     spindle_rpm: float = float("nan")
@@ -70,7 +79,7 @@ class Status:
     @property
     def reasons(self) -> list[str]:
         """Why the applied correction is not the requested one."""
-        return [text for flag, text in REASONS.items() if flag in self.flags]
+        return list(texts_of(self.flags, self.causes).values())
 
 
 @dataclass
@@ -213,20 +222,29 @@ class Alarms:
         self._going_on: dict[str, _Alarm] = {}
         self._first_ns: int | None = None
 
-    def look(self, now_ns: int, passed: Flag, devices: Mapping[str, Sequence[str]]) -> None:
+    def look(
+        self,
+        now_ns: int,
+        passed: Flag,
+        devices: Mapping[str, Sequence[str]],
+        causes: Mapping[str, str] | None = None,
+    ) -> None:
         """Begin and end alarms.
 
         Args:
             now_ns: monotonic.
             passed: flags of any of the rows since the last look.
             devices: present faults, by device.
+            causes: those of the newest row's flags, by the flag's name.
         """
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         if now_ns - self._first_ns < START_NS:
             return
-        for key, text in _wrong(passed & ~ORDERED, devices).items():
+        for key, text in _wrong(passed & ~ORDERED, devices, causes or {}).items():
             alarm = self._going_on.setdefault(key, _Alarm(now_ns, now_ns))
             alarm.last_ns, says = now_ns, without_numbers(text)
+            if any(known.startswith(says) for known in alarm.texts):
+                continue  # the newest row was good again: the flag without its cause is no news
             if says not in alarm.texts and len(alarm.texts) < MOST_REASONS:
                 alarm.texts[says] = text
                 self._tell("alarm", text)
@@ -237,7 +255,7 @@ class Alarms:
                 self._tell("alarm over", f"{'; then '.join(alarm.texts.values())}; it lasted {lasted_s:.1f} s")
 
 
-def _wrong(flags: Flag, devices: Mapping[str, Sequence[str]]) -> dict[str, str]:
+def _wrong(flags: Flag, devices: Mapping[str, Sequence[str]], causes: Mapping[str, str]) -> dict[str, str]:
     """Texts by device and role: a text with a growing time is still one alarm."""
-    out = {f"flag {flag.name}": text for flag, text in REASONS.items() if flag in flags}
+    out = {f"flag {name}": text for name, text in texts_of(flags, causes).items()}
     return out | {f"device {name}": f"device {name}: {joined(texts)}" for name, texts in devices.items()}

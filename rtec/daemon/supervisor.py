@@ -16,6 +16,8 @@ from types import FrameType
 from typing import Any, Final
 
 from rtec.correction.flags import Flag
+from rtec.daemon.causes import causes
+from rtec.daemon.claim import Claim
 from rtec.daemon.disk import MOST_SECONDS, DiskThread, Keeper, log_folder, new_log
 from rtec.daemon.fastpath import LoopTask, fast_path
 from rtec.daemon.process import Notifier, child_context, signals, signals_wait
@@ -98,7 +100,7 @@ class Supervisor:
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
         self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
         self._memory, disk = MemoryState(self._places.memory), self._places.disk
-        self._disk_state = None if disk is None else DiskState(disk)
+        self._disk_state, self._claim = None if disk is None else DiskState(disk), Claim(setup)
         self._reload = ReloadDesk(setup, self._memory, self._note, self.parts.add("reload"))
         self._step_orders = StepOrders(setup, self._clock)
         self._interrupted, self._ended, self._ends_at_once = False, False, False
@@ -115,13 +117,16 @@ class Supervisor:
     def status(self) -> Status:
         """Status of the newest row."""
         disk = self._disk
-        status = replace(
-            self._watch.status, reload=self._reload.text, faults=self.parts.faults, parts=self.parts.troubles
-        )
+        status = replace(self._newest(), reload=self._reload.text, faults=self.parts.faults, parts=self.parts.troubles)
         if disk is None:
             return status
         kept = ("" if disk.kept_mode is None else MODE_NAMES.get(disk.kept_mode, "")) if disk.keeps else None
         return replace(status, log=disk.trouble, overruns=status.overruns + disk.missed, kept_mode=kept)
+
+    def _newest(self) -> Status:
+        """Status of the newest row, with the causes of its flags."""
+        status = self._watch.status
+        return replace(status, causes=causes(self.setup, status)) if status.flags else status
 
     def order(self, order: Order, text: str = "", who: str = "local") -> str:
         """Give an order, from any thread; return an answer in words. A running loop carries it out within some 20 ms.
@@ -168,13 +173,16 @@ class Supervisor:
             beside: context that starts threads; entered after the loop's process has started, left before it has ended.
 
         Raises:
-            RtecError: another daemon keeps its state in the same file; the fast path could not start, or died.
+            RtecError: another daemon keeps its state in the same file, or commands the same device; the fast path could
+                not start, or died.
         """
         try:
             if self._disk_state is not None:
                 self._disk_state.lock(self._clock)
+            self._claim.take(self._clock)
             return self._run(duration_s, nullcontext() if beside is None else beside)
         finally:
+            self._claim.free()
             self._memory.close()
             if self._disk_state is not None:
                 self._disk_state.close()
@@ -312,7 +320,9 @@ class Supervisor:
         for text in self.warnings[self._warnings_told :]:
             self._warnings_told += 1
             self.note("note", text)
-        self._alarms.look(now_ns, self._watch.take_passed(), self._watch.status.devices)
+        passed = self._watch.take_passed()
+        status = self._newest() if passed else self._watch.status
+        self._alarms.look(now_ns, passed, status.devices, status.causes)
 
     def _hold_without(self, lost: list[str]) -> None:
         """Hold, once for each lost part that the daemon must not correct without; ask for a restart."""

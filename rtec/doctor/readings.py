@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from rtec.correction.flags import CYCLES_OF_AGE
 from rtec.correction.sinks import PulseSink
 from rtec.doctor.found import DeviceFault, DeviceFound, Patient, Value
 from rtec.doctor.ports import (
@@ -30,6 +31,7 @@ from rtec.doctor.ports import (
 from rtec.errors import DriverError, DriverFault
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import CAN_BE
+from rtec.wording import percent
 
 NS = 1e-9
 NOTHING_YET = -(2**62)
@@ -140,7 +142,7 @@ class DeviceReadings:
         clock: clock of the ages.
 
     Attributes:
-        counts_age_s: age of the counts at each reading.
+        counts_age_s: age of the counts at each reading, at the instant before it, as the guard judges it.
     """
 
     def __init__(self, device: Any, patient: Patient, clock: Clock) -> None:
@@ -151,6 +153,7 @@ class DeviceReadings:
         self._rpm = float("nan")
         self._counts_rate, self._rates = Rate(), [Rate() for _ in self._machine.sensors]
         self.counts_age_s: list[float] = []
+        self._sent_before = 0
 
     @property
     def by_role(self) -> Mapping[str, Callable[[], None]]:
@@ -161,6 +164,11 @@ class DeviceReadings:
     def heard(self) -> bool:
         """Has the device given any reading?"""
         return bool(self._counts_rate.started or self.sensors)
+
+    @property
+    def sends_itself(self) -> bool:
+        """Are most counts older than the question for them? A device that latches when it is read has none such."""
+        return 2 * self._sent_before > len(self.counts_age_s)
 
     @property
     def sensors(self) -> set[str]:
@@ -189,9 +197,11 @@ class DeviceReadings:
         return out
 
     def _read_counts(self) -> None:
+        asked_ns = self._clock.now_ns()
         latched_ns = self._device.read_counts(self._counts)
+        self._sent_before += latched_ns < asked_ns
         self._counts_rate.record(latched_ns)
-        self.counts_age_s.append((self._clock.now_ns() - latched_ns) * NS)
+        self.counts_age_s.append((asked_ns - latched_ns) * NS)
 
     def _read_temperatures(self) -> None:
         try:
@@ -379,6 +389,10 @@ def _text(table: BaseModel, key: str) -> str:
     return value if isinstance(value, str) else ""
 
 
+FEWEST_CYCLES = 2
+"""Smallest age, cycles, that the guard should allow the counts of a device that sends by itself."""
+MANY_LATE = 0.01
+"""Share of the counts that are too old; rtec doctor is no real-time program, so a few are none of the device's."""
 FEW = 20
 """Fewer readings are no basis for a judgement; the first ones may be slow."""
 ROOM = 1.5
@@ -426,9 +440,23 @@ def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -
             DeviceFault(text, (f"a lower [run] rate_hz, {1e3 / took[0] / ROOM:.0f} or less, or a faster line",))
         )
     age_s, allowed_s = float(np.median(readings.counts_age_s)), patient.file.guard.counts_max_age_s
+    late = float(np.mean(np.asarray(readings.counts_age_s) > allowed_s))
+    is_meant = f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?"
+    enough = f"[guard] counts_max_age_s = {CYCLES_OF_AGE * cycle_ms * 1e-3:g}, {CYCLES_OF_AGE} cycles"
     if age_s > allowed_s:
         what = f"counts are {age_s * 1e3:.1f} ms old when they are read; the correction would hold"
-        faults.append(DeviceFault(what, (f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?",)))
+        faults.append(DeviceFault(what, (is_meant,)))
+    elif late > MANY_LATE:
+        what = (
+            f"{percent(late)} of the counts are older than {allowed_s * 1e3:g} ms when read; the correction would hold"
+        )
+        faults.append(DeviceFault(what, (is_meant, enough)))
+    elif readings.sends_itself and allowed_s < FEWEST_CYCLES * cycle_ms * 1e-3:
+        what = (
+            f"counts older than {allowed_s * 1e3:g} ms hold the correction, and a cycle takes {cycle_ms:g} ms: the "
+            "device sends by itself, so one late reading is enough"
+        )
+        faults.append(DeviceFault(what, (enough,)))
     return faults, [] if took[0] > cycle_ms else [text]
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import ConfigError, LogError
+from rtec.files import check_named
 from rtec.log.folder import log_files
 from rtec.log.format import Log
 from rtec.log.reader import open_log
@@ -312,6 +313,7 @@ def replayed(
         if check:
             raise ConfigError("--check compares with logged commands; a capture has none, leave it out")
         target = out or log.with_name(f"{log.stem}.replay.sr")
+        check_named(target, LogError)
         return Replayed(replay_capture(setup, log, target, target.with_suffix(".csv"), tell), checked=False)
     checked = check or log.is_dir()
     target_log = out or (None if checked else log.with_name(f"{log.stem}.replay.arrows"))

@@ -149,6 +149,22 @@ def test_what_somebody_has_to_look_at(daemon: FakeDaemon, changed: dict[str, Any
     assert troubles(late) == ["the loop stands: its newest row is 1.1 s old"]
 
 
+@pytest.mark.parametrize("flag", ["STALE_COUNTS", "STALE_TEMPERATURE", "SENSOR_FAULT"])
+@pytest.mark.parametrize("mode", ["on", "hold", "off"])
+def test_an_input_that_is_stale_or_faulty_makes_the_exit_status_1(daemon: FakeDaemon, flag: str, mode: str) -> None:
+    """Oracle: the help of `rtec status`. The device need not report a fault of its own, and nothing need be ordered."""
+    fresh = Desk(daemon, VirtualClock(1_000_000_001), {}).status()
+    assert well({**fresh, "status": {**fresh["status"], "mode": mode}})
+    assert not well({**fresh, "status": {**fresh["status"], "mode": mode, "flags": [flag, "HELD"]}})
+
+
+def test_a_hold_that_nobody_ordered_makes_the_exit_status_1(daemon: FakeDaemon) -> None:
+    """Oracle: as above; a hold that was ordered does not."""
+    fresh = Desk(daemon, VirtualClock(1_000_000_001), {}).status()
+    for mode, flags, good in (("on", ["OUT_OF_RANGE", "HELD"], False), ("hold", ["ORDERED_HOLD", "HELD"], True)):
+        assert well({**fresh, "status": {**fresh["status"], "mode": mode, "flags": flags}}) == good
+
+
 def test_rows_that_were_lost_stay_in_sight_and_are_no_alarm_for_ever(daemon: FakeDaemon) -> None:
     fresh = Desk(daemon, VirtualClock(1_000_000_001), {}).status()
     lost = {**fresh, "status": {**fresh["status"], "overruns": 3}}

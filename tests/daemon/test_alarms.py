@@ -33,6 +33,18 @@ def test_beginning_and_end_are_told_once_with_how_long_it_lasted() -> None:
     assert told[2:] == [("alarm", stale)]
 
 
+def test_an_alarm_of_a_flag_names_its_cause_once() -> None:
+    """Oracle: `rtec.daemon.causes`. The age grows, the newest row may be good again; another sensor is news."""
+    made, told = alarms()
+    text, name = REASONS[Flag.SENSOR_FAULT], "SENSOR_FAULT"
+    for k in range(3):
+        made.look(FIRST + k * S, Flag.SENSOR_FAULT, {}, {name: f"sensor T_bed reads {1372 + k} °C"})
+    made.look(FIRST + 3 * S, Flag.SENSOR_FAULT, {})
+    assert told == [("alarm", f"{text}: sensor T_bed reads 1372 °C")]
+    made.look(FIRST + 4 * S, Flag.SENSOR_FAULT, {}, {name: "sensor T_nut reads 1372 °C"})
+    assert told[1:] == [("alarm", f"{text}: sensor T_nut reads 1372 °C")]
+
+
 def test_a_reason_that_changes_with_time_is_one_alarm_and_every_device_has_its_own() -> None:
     made, told = alarms()
     for k in range(5):

@@ -51,6 +51,34 @@ def test_one_that_stays_silent_is_named_and_ends_with_status_1(
     assert "T_bed" in found["troubles"][0]
 
 
+@pytest.mark.parametrize("key", ["log_folder", "state_folder"])
+@pytest.mark.parametrize(("place", "why"), [("file", "it is no folder"), ("file/logs", "{}/file is no folder")])
+def test_a_folder_that_the_run_cannot_use_is_said_and_it_is_not_ready(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, place: str, why: str
+) -> None:
+    """Oracle: a run of the same file, which is refused; and the folder, in which a dry run makes nothing."""
+    content = setups.tables(tmp_path)
+    content["run"][key] = place
+    path = setups.write(tmp_path, content)
+    (tmp_path / "file").touch()
+    before = sorted(tmp_path.iterdir())
+    text = f"[run] {key} {tmp_path / place}: {why.format(tmp_path)}"
+    assert status(["run", str(path), "--dry-run", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["troubles"] == [text]
+    assert sorted(tmp_path.iterdir()) == before
+    if key == "log_folder":
+        assert status(["run", str(path), "--duration", "0.1"]) == 2
+        assert f"rtec: {text}" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_not_there_yet_is_ready(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = setups.tables(tmp_path)
+    content["run"]["log_folder"] = "not/yet"
+    assert status(["run", str(setups.write(tmp_path, content)), "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["troubles"] == []
+    assert not (tmp_path / "not").exists()
+
+
 class BusyClock(VirtualClock):
     """The computer does something else for 0.1 s before each of the first looks at the clock."""
 

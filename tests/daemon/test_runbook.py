@@ -54,6 +54,7 @@ def test_every_flag_is_in_the_table_with_its_text_and_a_way_on() -> None:
         ("daemon/disk", "the state is not on disk"),
         ("daemon/supervisor", "somebody deleted"),
         ("loop/state_files", "another rtec keeps its state there"),
+        ("daemon/claim", "another rtec sends its commands there"),
         ("loop/output", "the actuator has"),
         ("daemon/reload", "not reloaded"),
         ("daemon/fastpath", "the state that the run before kept in"),

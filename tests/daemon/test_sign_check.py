@@ -4,6 +4,7 @@ Oracles: the step itself, run as a pure function, on machines whose chains diffe
 in the test's hands.
 """
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON, Limits
+from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON, Flag, Limits
 from rtec.daemon.dry_run import dry_run
 from rtec.daemon.reload import read_again
 from rtec.daemon.sign_check import StepOrders, step_of, with_step
@@ -141,8 +142,21 @@ def words(mode: int = MODE_HOLD) -> OrderWords:
     return out
 
 
-def at(x_um: float, cycles: int = 1, time_s: float = 0.0) -> Status:
-    return Status(cycles=cycles, applied_um={"X": x_um, "Z": 0.0}, time_s=time_s)
+CYCLES = itertools.count(1)
+
+
+def at(
+    x_um: float, cycles: int | None = None, time_s: float = 0.0, output: int | None = None, flags: Flag | None = None
+) -> Status:
+    """Of a later cycle each time; its output is that of the correction, at two counts a µm, unless it is given."""
+    counts = round(-2.0 * x_um) if output is None else output
+    return Status(
+        cycles=next(CYCLES) if cycles is None else cycles,
+        applied_um={"X": x_um, "Z": 0.0},
+        output={"X": counts, "Z": 0},
+        time_s=time_s,
+        flags=flags or Flag(0),
+    )
 
 
 def test_an_ordinary_run_gets_no_orders(setup: Setup) -> None:
@@ -159,7 +173,8 @@ def test_to_nothing_then_the_step_then_to_nothing(setup: Setup) -> None:
     for status in (at(0.0, cycles=0), at(31.0), at(0.4)):
         assert not orders.look(words_, status, ending=False)
         assert words_.mode == MODE_OFF
-    orders.look(words_, at(0.0), ending=False)
+    for _ in range(2):
+        orders.look(words_, at(0.0), ending=False)
     assert words_.mode == MODE_ON
     words_.mode = MODE_OFF  # `rtec ctl fade`
     assert not orders.look(words_, at(0.0), ending=False)
@@ -168,6 +183,7 @@ def test_to_nothing_then_the_step_then_to_nothing(setup: Setup) -> None:
     assert not orders.look(words_, at(20.0), ending=True)
     assert words_.mode == MODE_OFF
     assert not orders.look(words_, at(0.1), ending=True)
+    assert not orders.look(words_, at(0.0), ending=True)
     assert orders.look(words_, at(0.0), ending=True)
     assert orders.trouble(at(0.0)) == ""
 
@@ -175,12 +191,31 @@ def test_to_nothing_then_the_step_then_to_nothing(setup: Setup) -> None:
 def test_after_its_time_the_way_back_begins(setup: Setup) -> None:
     orders, words_ = StepOrders(with_step(setup, {"X": 20.0}), VirtualClock()), words()
     orders.lasts_s = 5.0
-    orders.look(words_, at(0.0, time_s=0.1), ending=False)
+    for _ in range(2):
+        orders.look(words_, at(0.0, time_s=0.1), ending=False)
     assert not orders.look(words_, at(20.0, time_s=4.9), ending=False)
     assert words_.mode == MODE_ON
     assert not orders.look(words_, at(20.0, time_s=5.0), ending=False)
     assert words_.mode == MODE_OFF
-    assert orders.look(words_, at(0.0, time_s=6.0), ending=False)
+    assert not orders.look(words_, at(0.0, time_s=6.0), ending=False)
+    assert orders.look(words_, at(0.0, time_s=6.1), ending=False)
+
+
+def test_it_ends_only_when_the_actuator_is_back_at_nothing(setup: Setup) -> None:
+    """Oracle: docs/runbook.md, step 5 of the sign check. A slow controller gets the last command after the correction.
+
+    20 counts are -10 µm at 2000 counts a mm; the flags are those of rtec/correction/guard.py.
+    """
+    orders, words_ = StepOrders(with_step(setup, {"X": 20.0}), VirtualClock()), words()
+    waits = at(0.0, output=20)
+    assert not orders.look(words_, waits, ending=True)
+    assert not orders.look(words_, at(0.0, output=20), ending=True)
+    assert "held at X -10.00 µm" in orders.trouble(waits)
+    for flags in (Flag(0), Flag.LIMITED, Flag.OUTPUT_TROUBLE | Flag.HELD, Flag(0)):  # commanded, not confirmed, …
+        assert not orders.look(words_, at(0.0, flags=flags), ending=True)
+    assert orders.look(words_, at(0.0), ending=True)
+    assert orders.trouble(at(0.0)) == ""
+    assert "did not confirm" in orders.trouble(at(0.0, flags=Flag.OUTPUT_TROUBLE))
 
 
 def test_where_something_holds_it_the_run_ends_all_the_same_and_says_so(setup: Setup) -> None:

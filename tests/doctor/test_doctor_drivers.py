@@ -48,6 +48,30 @@ def test_an_actuator_is_never_told_anything(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(
+    ("does", "rate_hz", "said"),
+    [
+        ({"late_s": 0.0045}, 200.0, "counts older than 5 ms hold the correction, and a cycle takes 5 ms: the device "),
+        ({"late_s": 0.0045}, 401.0, ""),  # two cycles and a little
+        ({"late_s": 0.0}, 200.0, ""),  # latched when it is read: no older in any cycle
+        ({"late_s": 0.0045, "later": (30, 0.006)}, 1000.0, "3.3 % of the counts are older than 5 ms when read; "),
+        ({"late_s": 0.0045, "later": (150, 0.006)}, 1000.0, ""),  # rtec doctor may have been late itself
+    ],
+)
+def test_counts_that_the_guard_finds_too_old_now_and_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, does: dict[str, Any], rate_hz: float, said: str
+) -> None:
+    """Oracle: the ages that the fake device gives, against counts_max_age_s = 0.005 and the cycle."""
+    with_fake(monkeypatch, **does)
+    path = run_file(tmp_path, FAKE_ROLES, {"fake": {"driver": "fake"}}, rate_hz)
+    _, by_name = seen(path, 0.3, clock=OneThread())
+    found = [fault for fault in by_name["fake"].wrong if "older than" in fault.what]
+    assert bool(found) == bool(said)
+    if found:
+        assert found[0].what.startswith(said)
+        assert f"[guard] counts_max_age_s = {5.0 / rate_hz:g}, 5 cycles" in found[0].mend
+
+
+@pytest.mark.parametrize(
     ("does", "said"),
     [
         ({"takes_s": 0.004}, "reading counts takes 4.00 ms, at most 4.00 ms, of a cycle of 1 ms"),

@@ -1,6 +1,7 @@
 """Offsets as lines of text. Oracles: the lines worked out by hand, and a controller that shares no code with rtec."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -219,6 +220,45 @@ def test_somebody_elses_offset_is_noticed(controller: OffsetController, tmp_path
         soon(CLOCK, lambda: bool(driver.must_resume))
         assert "has [2500, 100], and was commanded [100, 100]" in driver.must_resume
         assert has(driver) == [2500, 100]
+
+
+def test_a_silent_loss_while_an_axis_moves_is_never_made_good_by_the_next_command(
+    controller: OffsetController, tmp_path: Path
+) -> None:
+    """Oracle: docs/ascii-offset.md, "Restarts". The controller's own list of the lines that it was sent.
+
+    It is never asked at a time of its own (once an hour), so that only the command can be the occasion to notice it.
+    """
+    with made(tmp_path, READ_BACK, ask_period_s=3600.0) as driver:
+        assert commanded(driver, 417, -35)
+        controller.has = {"X": 0.0, "Z": 0.0}
+
+        def holds() -> bool:
+            with suppress(DriverFault):
+                driver.apply(np.array([418, -35], np.int64))
+            return bool(driver.must_resume)
+
+        soon(CLOCK, holds)
+        assert "OFS X=0.0418 Z=-0.0035" not in controller.lines
+        assert controller.has == {"X": 0.0, "Z": 0.0}
+        assert "has [0, 0], and was commanded [417, -35]" in driver.must_resume
+        driver.resume()
+        assert has(driver) == [0, 0]
+        assert commanded(driver, 1, 0)
+
+
+def test_a_controller_that_does_not_say_what_it_has_gets_no_command(
+    controller: OffsetController, tmp_path: Path
+) -> None:
+    """Oracle: as above; silence is no answer. It goes on as soon as the controller speaks again."""
+    with made(tmp_path, READ_BACK, ask_period_s=3600.0) as driver:
+        assert commanded(driver, 417, 0)
+        controller.answers = False
+        with pytest.raises(DriverTimeout, match=r"no answer to 'OFS\?'"):
+            until_it_raises(driver, 418, 0)
+        assert "OFS X=0.0418 Z=0.0000" not in controller.lines
+        controller.answers = True
+        assert commanded(driver, 418, 0)
 
 
 def test_without_any_answer_a_line_that_was_sent_counts_and_the_last_is_sent_at_the_end(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rtec.errors import ConfigError, DriverFault, DriverTimeout
+from rtec.loop.clock import VirtualClock
 from rtec.tomlfile import validated
 from rtec_drivers.can.encoders import CanEncoderOptions, CanEncodersDriver
 from tests.support.can_peer import CLOCK, MS, frame, new_channel
@@ -154,6 +155,36 @@ def test_one_encoder_that_is_silent_is_told_and_comes_back(channel: str) -> None
         assert until(lambda: refused(device).endswith("no new positions within 50 ms (waiting for Z)"))
         fake.mute = set()
         assert first(device) == (0, 0)
+
+
+def test_the_default_longest_age_follows_the_period_of_reading(channel: str) -> None:
+    """Oracle: docs/can.md: a reading is a cycle old. At 21 ms a cycle, all are good; three without an answer are not.
+
+    The loop's clock is in the test's hands; the encoders answer when their thread runs.
+    """
+    clock, counts, period_ns = VirtualClock(10**12), np.zeros(2, np.int64), 21 * MS
+    without = {k: v for k, v in table(channel).items() if k != "timeout_ms"}
+    options = validated(CanEncoderOptions, without, "run.toml")
+
+    def reads() -> int:
+        with suppress(DriverTimeout):
+            return device.read_counts(counts)
+        return 0
+
+    with encoders(channel) as fake, CanEncodersDriver(options, MACHINE, clock) as device:
+        reads()
+        for _ in range(20):
+            asked_ns = clock.now_ns()
+            clock.sleep_until_ns(asked_ns + period_ns)
+            assert until(lambda asked_ns=asked_ns: reads() == asked_ns)  # type: ignore[misc]
+        fake.mute = {11}
+        clock.sleep_until_ns(clock.now_ns() + period_ns)
+        assert reads()
+        for _ in range(3):
+            clock.sleep_until_ns(clock.now_ns() + period_ns)
+            reads()
+        with pytest.raises(DriverTimeout, match=r"no new positions within 52\.5 ms \(waiting for .*Z\)"):
+            device.read_counts(counts)
 
 
 def test_a_jump_that_stays_needs_an_order(channel: str) -> None:

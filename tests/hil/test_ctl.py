@@ -27,6 +27,7 @@ from tests.hil.test_run import rtec
 from tests.support import setups
 from tests.support.command import here
 from tests.support.control_rig import Line
+from tests.support.modbus_peer import until
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 PERIOD_NS = 20_000_000
@@ -96,7 +97,9 @@ def test_every_order_by_the_command_line(daemon: Running) -> None:
     """Each says what came of it; the log has it at the row that the events name, and nowhere a jump."""
     said = {}
     for name in ("hold", "enable", "fade", "resume"):
-        done = rtec("ctl", name, daemon.config)  # a process each: a fade has ended before the order to resume
+        if name == "resume":  # the fade has ended: a resume goes on from whole counts, which is no limited motion
+            assert until(lambda: not any(status(daemon)["status"]["applied_um"].values()))
+        done = rtec("ctl", name, daemon.config)
         assert done.returncode == 0, done.stderr
         said[name] = done.stdout
     assert "stays where it is; applied now: X " in said["hold"]
@@ -224,3 +227,27 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         again.process.kill()
         again.process.communicate()
     assert not socket_path(config).exists()
+
+
+def test_a_sensor_that_holds_the_correction_is_named_and_the_exit_status_is_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: docs/runbook.md, SENSOR_FAULT. The machine file says that T_bed never reads more than 5 °C."""
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    content = setups.tables(tmp_path)
+    machine = tomllib.loads(Path(content["run"]["machine"]).read_text(encoding="utf-8"))
+    machine["temperature"]["T_bed"]["range_degc"] = [0.0, 5.0]
+    content["run"]["machine"] = str(tmp_path / "machine.toml")
+    (tmp_path / "machine.toml").write_text(tomli_w.dumps(machine), encoding="utf-8")
+    running = Running(setups.write(tmp_path, content), tmp_path / "log.arrows")
+    try:
+        running.until_it_runs()
+        shown, found = here("status", running.config), here("status", running.config, "--json")
+    finally:
+        running.process.kill()
+        running.process.communicate()
+    assert shown.returncode == found.returncode == 1
+    status = json.loads(found.stdout)["status"]
+    assert status["devices"] == {}
+    assert status["causes"]["SENSOR_FAULT"].startswith("sensor T_bed of device box reads ")
+    assert "and its range is 0 to 5 °C" in " ".join(shown.stdout.split())

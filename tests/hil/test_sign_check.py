@@ -84,6 +84,27 @@ def test_ctrl_c_takes_the_step_back_before_it_ends(tmp_path: Path) -> None:
     assert applied[-1] == "apply [0, 0]"
 
 
+def test_a_slow_actuator_is_back_at_nothing_before_it_ends(tmp_path: Path) -> None:
+    """Oracle: the actuator's own output at the end. It takes an offset every 0.5 s, later than the correction is 0."""
+    tables = setups.tables(tmp_path, actuator="origin_offset", unit_um=0.1, program=STANDS)
+    sink = {"kind": "origin_offset", "resolution_um": 0.1, "period_s": 0.5}
+    tables["output"] = {"X": sink, "Z": sink}
+    setup = with_step(load_setup(setups.write(tmp_path, tables)), {"X": 20.0})
+    interrupted_with: list[int] = []
+
+    def look(status: Status) -> None:
+        assert status.time_s < LONGEST_S
+        if not interrupted_with and status.output.get("X") == 200:
+            interrupted_with.append(status.output["X"])
+            signal.raise_signal(signal.SIGINT)
+
+    report = Supervisor(setup, None, on_status=look).run(None)
+    assert report.interrupted
+    assert interrupted_with == [200]
+    assert report.summary["output"] == report.status.output == {"X": 0, "Z": 0}
+    assert not any("way back" in w for w in report.warnings), report.warnings
+
+
 def test_a_second_ctrl_c_ends_at_once_and_says_where_it_stands(tmp_path: Path) -> None:
     """The first at 4 µm of the way, the second while it goes back, at 2 µm a second: some micrometres are left."""
     tables = setups.tables(tmp_path, program=STANDS)

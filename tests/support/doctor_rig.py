@@ -62,6 +62,7 @@ class Fake:
     asked: ClassVar[list[str]] = []
     takes_s = late_s = 0.0
     fails = every = 0
+    later = (0, 0.0)
     opens: threading.Event | None = None
 
     def __init__(self, options: object, machine: Any, clock: Clock, base: Path) -> None:
@@ -84,7 +85,9 @@ class Fake:
         if self.every and self.n % self.every == 0:
             raise DriverTimeout("fake: no answer")
         counts[:] = self.n
-        return self.clock.now_ns() - round(self.late_s * 1e9)
+        every, later_s = self.later
+        late_s = later_s if every and self.n % every == 0 else self.late_s
+        return self.clock.now_ns() - round(late_s * 1e9)
 
     def read_temperatures(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64]) -> None:
         """Two sensors; the second fails."""

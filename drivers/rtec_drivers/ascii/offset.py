@@ -49,6 +49,7 @@ class OffsetAccount:
         self._has: Output | None = None
         self._requested: Output | None = None
         self._sent: Output | None = None
+        self._may_send = False
         self._trouble: DriverError | None = DriverUnavailable("not opened yet")
         self._refusal: DriverError | None = None
 
@@ -90,8 +91,15 @@ class OffsetAccount:
             requested, self._requested = self._requested, None
             if requested is None or self.lost or (requested == self._has and self._refusal is None):
                 return None
-            self._sent = requested
+            self._may_send = True
             return requested
+
+    def sends(self, output: Output) -> bool:
+        """May the command that was taken still go out? Not once the controller has lost its offsets: it would jump."""
+        with self._lock:
+            if self._may_send:
+                self._sent = output
+            return self._may_send
 
     def agrees(self, output: Output) -> bool:
         """Has the controller this output, and did it accept the command?"""
@@ -141,16 +149,17 @@ class OffsetAccount:
             self.lost = ""
 
     def _lose(self, why: str) -> None:
-        self._requested = None
+        self._requested, self._may_send = None, False
         self.lost = self.lost or f"{why}: check a known position; {HOLDS}"
 
 
 class AsciiOffsetDriver:
     """Controller that accepts an offset for each axis as a line of text, over a serial port or TCP.
 
-    A thread of its own sends the newest command, waits for the acknowledgement, and reads the offsets back where the
-    controller can report them; the loop never waits. A command is sent again only when the loop repeats it, so that an
-    outdated one moves nothing. Where the controller cannot report its offsets, the driver is a `OneWay`.
+    A thread of its own sends the newest command, waits for the acknowledgement, and reads the offsets back before and
+    after it where the controller can report them; the loop never waits. A command is sent again only when the loop
+    repeats it, so that an outdated one moves nothing. Where the controller cannot report its offsets, the driver is a
+    `OneWay`.
 
     Args:
         options: options of the run file.
@@ -285,7 +294,7 @@ line_end = "crlf"
         while True:
             ending = self._ending  # read first, so that an earlier order is still sent
             command = self._account.take()
-            if command is not None:
+            if command is not None and (self.options.ask is None or talk.read_back(self._axes)):
                 talk.command(command)
             if self.options.ask is not None and (command is not None or self._clock.now_ns() >= ask_ns):
                 talk.read_back(self._axes)
@@ -326,7 +335,7 @@ class OffsetTalk:
         """Send the lines of a command, each after the one before was acknowledged; record the result."""
         self.listen()
         for line in self._text.lines(output):
-            if self._account.lost:  # it has restarted since this order: from zero this would be a jump
+            if not self._account.sends(output):  # it has restarted since this order: from zero this would be a jump
                 return
             self._send(line)
             trouble = None if self._yes is None else self._acknowledged(line.decode(self._options.encoding))
@@ -335,8 +344,8 @@ class OffsetTalk:
                 return
         self._account.accepted(output, confirmed=self._options.ask is None)
 
-    def read_back(self, axes: tuple[str, ...]) -> None:
-        """Ask for the offsets that are in force; record the answer."""
+    def read_back(self, axes: tuple[str, ...]) -> bool:
+        """Ask for the offsets that are in force; record the answer, and say whether there was one."""
         ask = self._options.ask or ""
         self.listen()
         self._send(ask.encode(self._options.encoding))
@@ -346,12 +355,13 @@ class OffsetTalk:
                 units = self._text.units(line)
             except ValueError as e:
                 self._account.fail(DriverFault(f"{self._options.place}: the answer {line[:60]!r}: {e}"))
-                return
+                return False
             if units is not None:
                 self.answers = True
                 self._account.read_back(tuple(units.get(axis, 0) for axis in axes))
-                return
+                return True
         self._account.fail(self._silent(ask))
+        return False
 
     def listen(self) -> None:
         """Process the lines that were sent unasked."""

@@ -50,7 +50,7 @@ class OffsetOptions(Strict):
         ask: line that asks for the offsets that are in force. Not set: they cannot be read back, and rtec keeps account
             of them itself.
         answer: regular expression of the whole line of the answer; a named group for every axis of `command`.
-        ask_period_s: period of asking; it also asks after every command.
+        ask_period_s: period of asking; it also asks before and after every command.
         timeout_s: longest wait for an acknowledgement or answer.
         longest_line: longer lines are garbage.
     """

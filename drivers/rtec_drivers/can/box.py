@@ -22,7 +22,7 @@ from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.quantities import Counts, MillimetresPerSecond
 from rtec_drivers.box.protocol import NOT_RESUMED, BoxLedger, BoxState
-from rtec_drivers.can.bus import CanOptions, CanPort
+from rtec_drivers.can.bus import CanOptions, CanPort, LongestAge
 from rtec_drivers.count_tracker import CountTracker, axis_order, max_counts_per_s
 
 VERSION = 1
@@ -229,7 +229,7 @@ class CanBoxOptions(CanOptions):
         base_id: first identifier of the box; a multiple of 64. The box uses 64 identifiers.
         axes: the box's inputs in order, by the machine's axis names; not given: the machine's order.
         max_speed_mm_s: highest speed of each axis; faster counts are refused.
-        timeout_ms: a reading older than this is reported as missing.
+        timeout_ms: a reading older than this is reported as missing. Not given: 2.5 cycles, and 20 ms at least.
         open_timeout_s: longest wait for the box when its interface is opened.
         command_timeout_s: longest time without an accepted command before that is reported.
         resume_step_counts: the first command after a start or an order to resume may differ from the box's ledger
@@ -239,7 +239,7 @@ class CanBoxOptions(CanOptions):
     base_id: Annotated[int, Field(ge=0x40, le=0x780)] = 0x140
     axes: tuple[str, ...] | None = None
     max_speed_mm_s: dict[str, MillimetresPerSecond]
-    timeout_ms: Annotated[float, Field(ge=1e-3, le=1000)] = 20.0
+    timeout_ms: Annotated[float, Field(ge=1e-3, le=1000)] | None = None
     open_timeout_s: Annotated[float, Field(ge=0.1, le=30)] = 2.0
     command_timeout_s: Annotated[float, Field(ge=1e-4, le=10)] = 0.2
     resume_step_counts: Counts = 16
@@ -297,6 +297,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         self._sent_ns = 0
         self._digested: Latched | None = None
         self._good: tuple[tuple[int, ...], int] | None = None
+        self._longest = LongestAge(options.timeout_ms)
         self._session = self._new_session()
 
     def __enter__(self) -> Self:
@@ -344,6 +345,8 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
             DriverUnavailable: the interface is not open; it is being reopened.
         """
         self._port.check()
+        now_ns = self._clock.now_ns()
+        longest_ns = self._longest.reads(now_ns)
         self._latch()
         self._digest()
         if self._ledger.must_resume:
@@ -353,9 +356,8 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         if self._good is None:
             raise DriverTimeout(f"{self._where} does not answer")
         values, asked_ns = self._good
-        age_ms = (self._clock.now_ns() - asked_ns) * 1e-6
-        if age_ms > self._options.timeout_ms:
-            raise DriverTimeout(f"{self._where} has sent no counts for {age_ms:.0f} ms")
+        if (age_ns := now_ns - asked_ns) > longest_ns:
+            raise DriverTimeout(f"{self._where} has sent no counts for {age_ns * 1e-6:.0f} ms")
         for value, axis in zip(values, self._order, strict=True):
             counts[axis] = value
         return asked_ns

@@ -25,6 +25,11 @@ BUS_OFF, CONTROLLER, LOST_ARBITRATION, RESTARTED = 0x40, 0x04, 0x02, 0x100
 PASSIVE, WARNING, OVERFLOW = 0x30, 0x0C, 0x03
 ERROR_CLASSES = (0x04, 0x08, 0x20, 0x40, 0x44, 0x80)
 """Bits of SocketCAN's error frames (linux/can/error.h), which python-can passes on unchanged."""
+SHORTEST_AGE_NS = 20_000_000
+PERIODS_2 = 5
+"""Half periods of reading that a reading may be old."""
+LONGEST_PERIOD_NS = 1_000_000_000
+"""A loop that stood still for longer than this has no such period."""
 
 
 class CanOptions(Strict):
@@ -136,6 +141,30 @@ class CanLink:
         """Close the interface."""
         with suppress(*self._errors):
             self._bus.shutdown()
+
+
+class LongestAge:
+    """Largest age of a reading that is a cycle old by design, before it counts as missing.
+
+    Args:
+        timeout_ms: as given; None: 2.5 times the period of reading, and 20 ms at least: one late answer is no fault.
+    """
+
+    def __init__(self, timeout_ms: float | None) -> None:
+        self._given, self._last_ns, self._period_ns = timeout_ms, 0, 0
+
+    def reads(self, now_ns: int) -> int:
+        """Note a reading; give the largest age, ns."""
+        if self._last_ns and now_ns > self._last_ns:
+            self._period_ns = min(now_ns - self._last_ns, LONGEST_PERIOD_NS)
+        self._last_ns = now_ns
+        return self.ns
+
+    @property
+    def ns(self) -> int:
+        """The largest age, ns."""
+        given = self._given
+        return max(SHORTEST_AGE_NS, PERIODS_2 * self._period_ns // 2) if given is None else round(given * 1e6)
 
 
 class CanPort:

@@ -14,7 +14,7 @@ from rtec.loop.ports import Scanner
 from rtec.machine import Machine
 from rtec.quantities import MillimetresPerSecond
 from rtec.tomlfile import nearest, validated
-from rtec_drivers.can.bus import CanOptions, CanPort
+from rtec_drivers.can.bus import CanOptions, CanPort, LongestAge
 from rtec_drivers.can.scan import CanScanner
 from rtec_drivers.can.signals import Dbc, NodeOptions, NodeWatch, SignalOptions
 from rtec_drivers.count_tracker import CountTracker
@@ -43,7 +43,7 @@ class CanEncoderOptions(CanOptions):
         bits: width of the position value; it wraps there.
         sync: send SYNC, so that all encoders latch at the same instant (their PDOs must be synchronous, type 1).
             Without it each position has the instant of its own frame, and the reading has that of the oldest.
-        timeout_ms: a reading older than this is reported as missing.
+        timeout_ms: a reading older than this is reported as missing. Not given: 2.5 cycles, and 20 ms at least.
         node: CANopen devices to watch, by a name of your choice.
     """
 
@@ -51,7 +51,7 @@ class CanEncoderOptions(CanOptions):
     axis: dict[str, EncoderSignal]
     bits: Annotated[int, Field(ge=8, le=64)] = 32
     sync: bool = True
-    timeout_ms: Annotated[float, Field(ge=1e-3, le=10_000)] = 20.0
+    timeout_ms: Annotated[float, Field(ge=1e-3, le=10_000)] | None = None
     node: dict[str, NodeOptions] = Field(default_factory=dict)
 
 
@@ -127,6 +127,7 @@ max_speed_mm_s = 500
         self._counts: tuple[int, ...] | None = None
         self._instant_ns = self._sync_ns = -(2**62)
         self._waiting = False
+        self._longest = LongestAge(options.timeout_ms)
 
     def __enter__(self) -> Self:
         """Open the interface and start listening."""
@@ -166,9 +167,10 @@ max_speed_mm_s = 500
         elif self._tracker.lost:
             raise DriverFault(self._tracker.lost)
         now_ns = self._clock.now_ns()
+        longest_ns = self._longest.reads(now_ns)
         if self._options.sync:
             self._send_sync(now_ns)
-        if self._counts is None or now_ns - self._instant_ns > self._options.timeout_ms * 1e6:
+        if self._counts is None or now_ns - self._instant_ns > longest_ns:
             raise DriverTimeout(self._silent())
         counts[:] = self._counts
         return self._instant_ns
@@ -185,7 +187,7 @@ max_speed_mm_s = 500
         self._waiting = False
 
     def _send_sync(self, now_ns: int) -> None:
-        if self._waiting and now_ns - self._sync_ns < self._options.timeout_ms * 1e6:
+        if self._waiting and now_ns - self._sync_ns < self._longest.ns:
             return
         self._pending.clear()
         self._sync_ns, self._waiting = now_ns, True
@@ -219,5 +221,5 @@ max_speed_mm_s = 500
     def _silent(self) -> str:
         missing = [n for k, n in enumerate(self._names) if k not in self._pending]
         return (
-            f"can_encoders: no new positions within {self._options.timeout_ms:g} ms (waiting for {', '.join(missing)})"
+            f"can_encoders: no new positions within {self._longest.ns * 1e-6:g} ms (waiting for {', '.join(missing)})"
         )

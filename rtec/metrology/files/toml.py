@@ -121,6 +121,7 @@ def find_files(path: Path) -> tuple[Path, Path]:
         tables = [path] if path.is_file() else []
     if not tables:
         what = f"{path}: no such file" if path.suffix in TABLES else f"{path}: no {stem.name}.csv or .parquet there"
+        what = f"{path}: is a folder" if path.is_dir() else what
         raise MeasurementError(f"{what}; a measurement is a CSV or Parquet table and a TOML of the same stem")
     if len(tables) > 1:
         raise MeasurementError(f"{path}: both {tables[0].name} and {tables[1].name} are there; name the one you mean")

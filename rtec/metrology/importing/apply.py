@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtec.errors import MeasurementError
+from rtec.files import check_named
 from rtec.machine import Machine
 from rtec.metrology.files.load import Column as Values
 from rtec.metrology.files.load import write_files
@@ -223,6 +224,7 @@ def import_to_files(
     """
     from rtec.metrology.files.load import load_measurement
 
+    check_named(out, MeasurementError)
     table = out if out.suffix in TABLES else out.with_name(out.name + ".csv")
     _may_write(table, force=force)
     if reader is not None:

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError, MeasurementError
+from rtec.files import check_named
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import make_instrument
@@ -276,5 +277,10 @@ def settings_of(file: Path | None, options: Mapping[str, Mapping[str, Any]], hea
 
 
 def table_path(out: Path) -> Path:
-    """Path of the table: NAME.csv unless the name ends in .csv or .parquet."""
+    """Path of the table: NAME.csv unless the name ends in .csv or .parquet.
+
+    Raises:
+        ConfigError: the name is that of a folder, as ".".
+    """
+    check_named(out, ConfigError)
     return out if out.suffix in (".csv", ".parquet") else out.with_name(f"{out.name}.csv")

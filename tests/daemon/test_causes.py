@@ -1,0 +1,117 @@
+"""What a flag is about. Oracles: the flags that the real step gives for a row; names and limits of the run file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtec.correction.flags import MODE_ON, REASONS, Flag
+from rtec.daemon.causes import causes
+from rtec.daemon.ring import Ring
+from rtec.daemon.status import RowWatch, Status
+from rtec.loop.records import NEVER_NS, Samples
+from rtec.loop.run_file import Setup
+from rtec.loop.step import Step
+from tests.support import plain_step, setups
+
+NOW_NS = 10**12
+FRESH_NS = NOW_NS - 1_000_000
+
+
+@pytest.fixture
+def setup(tmp_path: Path) -> Setup:
+    return setups.setup(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def _plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain_step.use(monkeypatch)
+
+
+class Row:
+    """A row of good inputs; a test spoils what it is about."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup, self.step = setup, Step(setup.step_settings())
+        self.sample = Samples.empty(self.step.layout, 1)
+        self.sample.counts[0] = [round(100.0 * a.counts_per_mm) for a in setup.machine.axes]
+        self.sample.degc[:], self.sample.spindle_rpm[:] = 22.0, 0.0
+        self.sample.time_ns[:], self.sample.mode[:] = NOW_NS, MODE_ON
+        self.sample.counts_time_ns[:] = self.sample.degc_time_ns[:] = FRESH_NS
+
+    def sensor(self, name: str) -> int:
+        return self.setup.machine.sensor_names.index(name)
+
+    def status(self) -> Status:
+        """Status of the row as the daemon makes it."""
+        layout = self.step.layout
+        with Ring.create(layout, 8) as ring:
+            watch = RowWatch(layout)
+            watch.look(self.sample, self.step.run(self.sample), ring)
+            return replace(watch.status, causes=causes(self.setup, watch.status))
+
+
+def test_a_good_row_has_none(setup: Setup) -> None:
+    assert Row(setup).status().causes == {}
+
+
+def test_stale_counts_name_their_device(setup: Setup) -> None:
+    row = Row(setup)
+    row.sample.counts_time_ns[:] = NOW_NS - 14_200_000_000
+    text = "those of device box are 14.2 s old, and 0.005 s are allowed"
+    assert row.status().causes == {"STALE_COUNTS": text}
+    assert row.status().reasons == [f"{REASONS[Flag.STALE_COUNTS]}: {text}"]
+    row.sample.counts_time_ns[:] = NEVER_NS
+    assert row.status().causes == {"STALE_COUNTS": "device box has sent none yet"}
+
+
+def test_a_temperature_that_is_stale_or_missing_names_its_sensor(setup: Setup) -> None:
+    """A sensor that the model does not read holds nothing, and is not named."""
+    row = Row(setup)
+    row.sample.degc_time_ns[0, row.sensor("T_bed")] = NOW_NS - 41_000_000_000
+    unread = next(s for s in setup.machine.sensor_names if s not in setup.model.channels)
+    row.sample.degc_time_ns[0, row.sensor(unread)] = 0
+    stale = "sensor T_bed of device box was read 41 s ago, and 30 s are allowed"
+    assert row.status().causes == {"STALE_TEMPERATURE": stale}
+    row = Row(setup)
+    row.sample.degc[0, row.sensor("T_spindle_front")] = np.nan
+    missing = "sensor T_spindle_front of device box has no reading"
+    assert row.status().causes == {"STALE_TEMPERATURE": missing}
+
+
+def test_an_impossible_temperature_names_its_sensor_and_range(setup: Setup) -> None:
+    row = Row(setup)
+    low, high = next(s.range_degc for s in setup.machine.sensors if s.name == "T_bed")
+    row.sample.degc[0, row.sensor("T_bed")] = 1372.0
+    text = f"sensor T_bed of device box reads 1372.00 °C, and its range is {low:g} to {high:g} °C"
+    assert row.status().causes == {"SENSOR_FAULT": text}
+
+
+def test_the_device_of_several_is_the_one_whose_options_name_the_sensor(setup: Setup) -> None:
+    role = setup.file.role.model_copy(update={"temperatures": ("rail", "box")})
+    device = {**setup.file.device, "rail": {"driver": "x", "sensor": [{"name": "T_bed"}]}}
+    both = replace(setup, file=setup.file.model_copy(update={"role": role, "device": device}))
+    row = Row(both)
+    row.sample.degc[0, [row.sensor("T_bed"), row.sensor("T_spindle_front")]] = np.nan
+    expected = {"sensor T_bed of device rail has no reading", "sensor T_spindle_front has no reading"}
+    assert set(row.status().causes["STALE_TEMPERATURE"].split("; ")) == expected
+
+
+def test_out_of_range_names_what_is_outside(setup: Setup) -> None:
+    x = setup.machine.axis("X")
+    ranges = {x.channel: (120.0, 200.0), "T_bed": (18.0, 21.5)}
+    row = Row(replace(setup, model=replace(setup.model, valid_range=ranges)))
+    axis, sensor = "axis X is at 100 mm, and the model knows 120 to 200", "sensor T_bed of device box is at 22 °C"
+    assert row.status().causes == {"OUT_OF_RANGE": f"{axis}; {sensor}, and the model knows 18 to 21.5"}
+
+
+def test_a_request_over_a_limit_names_the_axis_and_its_size(setup: Setup) -> None:
+    limits = {name: x.model_copy(update={"warning_um": 1e-4, "stop_um": 1e-3}) for name, x in setup.file.limits.items()}
+    row = Row(replace(setup, file=setup.file.model_copy(update={"limits": {**setup.file.limits, "X": limits["X"]}})))
+    status = row.status()
+    um = status.requested_um["X"]
+    assert status.causes == {
+        "OVER_STOP_LIMIT": f"{um:+.2f} µm for axis X, and stop_um is 0.001",
+        "OVER_WARNING_LIMIT": f"{um:+.2f} µm for axis X, and warning_um is 0.0001",
+    }
