@@ -7,7 +7,7 @@ contradiction.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -18,7 +18,7 @@ from rtec.effects import Effect, State
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL, library
-from rtec.estimation.columns import ordered
+from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.gls import solve
@@ -265,7 +265,7 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     if found.residual <= min(BETTER * judged.residual, near):
         drifts = found.residual > NEAR_FLOOR * judged.noise_floor
-        return None if drifts and found.kind == "swapped_sensors" and _two_leave_less(judged, found) else found
+        return None if drifts and found.kind == "swapped_sensors" and _effect_leaves_less(judged, found) else found
     return found if found.fatal and _as_in_the_fit(judged, found) else None
 
 
@@ -311,17 +311,19 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     return not any(_left_by(judged, np.hstack([own, moved(e, {})])) < FAR_LESS * found.residual for e in fixed)
 
 
-def _two_leave_less(judged: Judgement, found: "_Edit") -> bool:
-    """Whether a missing effect of one number, with another or with new numbers of the model, leaves clearly less.
+def _effect_leaves_less(judged: Judgement, found: "_Edit") -> bool:
+    """Whether a missing effect of one number leaves clearly less than an exchange of sensors.
 
-    Two sensors that are exchanged look like two effects, one by each: these leave no less than the exchange.
+    The numbers of the model are refitted in both: what they make up for is evidence of neither.
     """
     readings, noise = judged.readings, judged.noise_floor
-    columns = [floor.cleaned(readings, readings.columns(e, {})) for e in _simple(judged)]
-    first = min(columns, key=lambda c: _left_by(judged, c), default=None)
-    begun = [floor.cleaned(readings, judged.base.columns), *([] if first is None else [first])]
-    beside = (_left_by(judged, np.hstack([b, c])) for b in begun for c in columns)
-    return any(_less_above(left, found.residual, noise) for left in beside)
+    changed = readings.with_states([_with(s, found.channels) for s in readings.states])
+    there = base_of(judged.model, changed)
+    own, left = (floor.cleaned(changed, v) for v in (there.columns, readings.values - there.predicted))
+    exchanged = judged.pooled(left - own @ solve(own, left))
+    own = floor.cleaned(readings, judged.base.columns)
+    columns = (floor.cleaned(readings, readings.columns(e, {})) for e in _simple(judged))
+    return any(_less_above(_left_by(judged, np.hstack([own, c])), exchanged, noise) for c in columns)
 
 
 def _delay_does(judged: Judgement, found: "_Edit") -> bool:
@@ -390,8 +392,14 @@ def _whole_noise(judged: Judgement) -> float:
     return floor.pooled(judged.readings, whole, judged.scale)
 
 
-Replaced = dict[str, Callable[[State], Floats]]
+Replaced = Mapping[str, Callable[[State], Floats]]
 """Channels replaced: of each, what it becomes from the state of a measurement."""
+
+
+def _with(state: State, channels: Replaced) -> State:
+    """A state with some channels replaced."""
+    changed = {**state.channels, **{c: make(state) for c, make in channels.items()}}
+    return State(state.machine, state.time_s, changed, state.reference_degc)
 
 
 @dataclass(frozen=True)
@@ -401,6 +409,7 @@ class _Edit:
     Attributes:
         residual: of the model with the edit.
         kind, edit, suspect, check: what it is, in words.
+        channels: what it replaces.
         unless: what else does the same, in words; empty for nothing.
         rival: what else does the same if an effect describes the readings as well; empty for that effect alone.
     """
@@ -410,6 +419,7 @@ class _Edit:
     edit: str
     suspect: str
     check: str
+    channels: Replaced = field(default_factory=dict)
     unless: str = ""
     rival: str = ""
 
@@ -446,7 +456,7 @@ class _Edits:
         """Every edit that is possible here."""
         return [*self._factors(), *self._exchanged(), *self._moved(), *self._turned(), *self._late()]
 
-    def residuals(self, edits: Sequence[Mapping[str, Callable[[State], Floats]]]) -> Floats:
+    def residuals(self, edits: Sequence[Replaced]) -> Floats:
         """Root mean square of the residual with some channels replaced, (edits,); infinite where that is impossible.
 
         Args:
@@ -461,14 +471,13 @@ class _Edits:
             out[i] = floor.pooled(self.readings, floor.rms_by_series(self.readings, left), self.scale)
         return out
 
-    def _left(self, channels: Mapping[str, Callable[[State], Floats]]) -> Floats | None:
+    def _left(self, channels: Replaced) -> Floats | None:
         """Residual of the model with some channels replaced, (m,); None where that is impossible."""
         states = []
         for state in self.readings.states:
             if any(c not in state.channels for c in channels):
                 return None
-            changed = {**state.channels, **{c: make(state) for c, make in channels.items()}}
-            states.append(State(state.machine, state.time_s, changed, state.reference_degc))
+            states.append(_with(state, channels))
         changed_readings = self.readings.with_states(states)
         left = self.readings.values.copy()
         try:
@@ -529,8 +538,8 @@ class _Edits:
         for one, two in itertools.combinations(sensors, 2):
             if {one, two} & self.read:
                 swap = {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}
-                residual = self.residuals([swap])[0]
-                yield _Edit(float(residual), "swapped_sensors", f"{one} and {two} exchanged", suspect, "their labels")
+                left, edit = float(self.residuals([swap])[0]), f"{one} and {two} exchanged"
+                yield _Edit(left, "swapped_sensors", edit, suspect, "their labels", swap)
 
     def _moved(self) -> Iterator[_Edit]:
         for axis in self.model.machine.axes:
@@ -551,7 +560,9 @@ class _Edits:
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
             found = left(by)
             apart = self._shifted(axis) > AS_GOOD * found
-            yield _Edit(found, "moved_origin", edit, suspect, f"the origin of {axis.name}", "" if apart else GROWS)
+            yield _Edit(
+                found, "moved_origin", edit, suspect, f"the origin of {axis.name}", unless="" if apart else GROWS
+            )
 
     def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float:
         """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all."""
@@ -570,7 +581,7 @@ class _Edits:
                 continue
 
             def turned(about_mm: float, axis: Axis = axis) -> Replaced:
-                out: Replaced = {axis.channel: lambda s: about_mm - s.channels[axis.channel]}
+                out = {axis.channel: lambda s: about_mm - s.channels[axis.channel]}
                 for name in (axis.direction_channel, axis.velocity_channel):
                     if all(name in s.channels for s in self.readings.states):
                         out[name] = lambda s, c=name: -s.channels[c]  # type: ignore[misc]
