@@ -3,6 +3,7 @@
 Oracle: what was done to the file; the machine is as it was at the fit, which was of an earlier day.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.doubts import Doubt
-from rtec.diagnosis.extend.add import add
+from rtec.diagnosis.extend.add import add, refused
 from rtec.diagnosis.extend.improve import improve
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
@@ -53,12 +54,14 @@ def warm(source: Floats, tau_s: float) -> Floats:
     return out
 
 
-def day(seed: int, true: Mapping[str, float] | None = None) -> Measurement:
+def day(seed: int, true: Mapping[str, float] | None = None, pace_s: float = 6.0, lag_s: float = 0.0) -> Measurement:
     """Ten runs there and back, forty minutes apart, between work of changing load.
 
     Args:
         seed: random numbers.
         true: numbers of the machine instead of those that it had at the fit.
+        pace_s: time from one reading to the next.
+        lag_s: delay of the screw after its sensor.
     """
     of = {"scale": 8.0, "play": 3.0, "growth": 11.0, "mount": 0.4, "bow": 0.0, **(true or {})}
     rng = np.random.default_rng(seed)
@@ -78,14 +81,15 @@ def day(seed: int, true: Mapping[str, float] | None = None) -> Measurement:
     z = np.tile(np.concatenate([places, places[::-1]]), RUNS)
     way = np.tile(np.repeat([1.0, -1.0], len(places)), RUNS)
     run = np.repeat(np.arange(1, RUNS + 1), 2 * len(places))
-    time_s = 600.0 + 6.0 * np.tile(np.arange(2 * len(places)), RUNS) + 2400.0 * (run - 1)
+    time_s = 600.0 + pace_s * np.tile(np.arange(2 * len(places)), RUNS) + 2400.0 * (run - 1)
     t = {n: np.interp(time_s, grid, v) for n, v in bodies.items()}
     far = np.interp(time_s, grid, warm(screw, 5400.0))
+    grown = np.interp(time_s, grid, warm(screw, lag_s)) if lag_s else t["T_screw"]
     metres = 1e-3 * z
     error = (
         of["scale"] * metres
         + 0.5 * of["play"] * way
-        + of["growth"] * metres * t["T_screw"]
+        + of["growth"] * metres * grown
         + of["mount"] * t["T_head"]
         + 0.6 * metres**2 * (far - t["T_screw"])
         + of["bow"] * (2.0 * metres / 0.9 - 1.0) ** 2
@@ -98,9 +102,13 @@ def day(seed: int, true: Mapping[str, float] | None = None) -> Measurement:
     )  # fmt: skip
 
 
+def fitted_to(m: Measurement) -> Model:
+    return add(Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN), name="lathe"), [], [m]).model
+
+
 @cache
 def fitted() -> Model:
-    return add(Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN), name="lathe"), [], [day(1)]).model
+    return fitted_to(day(1))
 
 
 def fatal(m: Measurement) -> list[Doubt]:
@@ -126,3 +134,102 @@ def test_an_exchange_is_seen_beside_a_number_that_is_out_of_date(seed: int) -> N
 @pytest.mark.parametrize("new", [{}, {"scale": 14.0}, {"growth": 15.0}, {"play": 9.0}, {"mount": 0.9}, {"bow": 6.0}])
 def test_a_machine_that_changed_is_no_fault_of_its_record(new: Mapping[str, float], seed: int) -> None:
     assert not fatal(day(seed, new))
+
+
+def times(m: Measurement, factor: float) -> Measurement:
+    return replace(m, readings={k: factor * v for k, v in m.readings.items()})
+
+
+@pytest.mark.parametrize(
+    ("factor", "times_", "said"),
+    [
+        (1.0 / 2.54, "2.54", "its readings may be in ten-thousandths of an inch."),
+        (0.1, "10", "its readings may be in hundredths of a mm."),
+        (-1.0 / 2.54, "-2.54", "its readings may be in ten-thousandths of an inch, with the other sign."),
+        (0.7, "1.4", "the unit or the gain of its readings may be wrong."),
+        (1.6, "0.62", "the unit or the gain of its readings may be wrong."),
+    ],
+)
+@pytest.mark.parametrize("seed", [33, 38])
+def test_one_factor_on_all_that_the_model_says_is_of_the_file(factor: float, times_: str, said: str, seed: int) -> None:
+    wrong = times(day(seed), factor)
+    (doubt,) = fatal(wrong)
+    assert doubt.kind == "wrong_gain"
+    assert doubt.message.startswith(f"with the readings of laser times {times_}")
+    assert doubt.message.endswith(said)
+    assert improve(fitted(), [wrong], draws=50).model.hash == fitted().hash
+    assert refused(add(fitted(), [], [wrong])).startswith("the record is in doubt: with the readings of laser times ")
+
+
+@pytest.mark.parametrize("seed", [33, 34])
+def test_one_of_two_files_in_another_unit_is_named(seed: int) -> None:
+    good, bad = day(seed), replace(times(day(seed + 10), 1.0 / 2.54), name="second")
+    (doubt,) = [d for d in compare(fitted(), [good, bad]).doubts if d.fatal]
+    assert doubt.message.startswith("with the readings of second times 2.54 ")
+
+
+@pytest.mark.parametrize("seed", [35, 36, 37])
+@pytest.mark.parametrize("new", [{"growth": 18.0}, {"growth": 18.0, "scale": 14.0}, {"growth": 7.0, "play": 1.0}])
+def test_numbers_that_changed_by_different_factors_are_of_the_machine(new: Mapping[str, float], seed: int) -> None:
+    assert not fatal(day(seed, new))
+
+
+def fallen(m: Measurement, name: str, run: int) -> Measurement:
+    """A sensor that hangs in the air of the hall from a run on."""
+    shown = np.where(m.run < run, m.channels[name], m.channels["T_air"] + 0.5)
+    return replace(m, channels={**m.channels, name: shown})
+
+
+@pytest.mark.parametrize(("seed", "run"), [(41, 4), (101, 5), (43, 6), (44, 8)])
+def test_a_sensor_that_came_loose_is_named_with_its_run(seed: int, run: int) -> None:
+    wrong = fallen(day(seed), "T_screw", run)
+    (doubt,) = fatal(wrong)
+    assert doubt.kind == "lost_sensor"
+    assert doubt.message.startswith(f"with T_screw of laser unknown from run {run} on the model leaves 0.")
+    done = improve(fitted(), [wrong], draws=50)
+    assert (done.reason, done.model.hash) == ("undecided", fitted().hash)
+
+
+def since(m: Measurement, run: int, um: Floats) -> Measurement:
+    return replace(m, readings={k: v + np.where(m.run < run, 0.0, um) for k, v in m.readings.items()})
+
+
+@pytest.mark.parametrize("seed", [45, 46, 47])
+@pytest.mark.parametrize("shape", ["step", "slope", "heat"])
+def test_what_the_machine_does_from_a_run_on_is_no_lost_sensor(shape: str, seed: int) -> None:
+    """A crash that moves a part or turns it; a new source of heat that only the head shows."""
+    m = day(seed)
+    metres = 1e-3 * m.channels["z"]
+    um = {"step": 8.0 + 0.0 * metres, "slope": 12.0 * metres, "heat": 0.8 * (m.channels["T_head"] - 20.0)}[shape]
+    assert "lost_sensor" not in [d.kind for d in fatal(since(m, 5, um))]
+
+
+def late(m: Measurement, by_s: float) -> Measurement:
+    """Temperatures by another clock; between the runs nobody read them."""
+    there = {n: np.interp(m.time_s - by_s, m.time_s, m.channels[n]) for n in SENSORS}
+    return replace(m, channels={**m.channels, **there})
+
+
+BENT = {"bow": 2.0}
+"""A curve that the model lacks, at its fit too: it never reached the noise."""
+
+
+@cache
+def rough() -> Model:
+    return fitted_to(day(1, BENT, 30.0))
+
+
+@pytest.mark.parametrize("seed", [51, 52, 53, 54, 55])
+def test_a_clock_that_no_effect_replaces_is_asked_about_above_the_noise(seed: int) -> None:
+    wrong = late(day(seed, BENT, 30.0), 1800.0)
+    (doubt,) = [d for d in compare(rough(), [wrong]).doubts if d.fatal]
+    assert doubt.kind == "late_temperatures"
+    assert re.match("with all temperatures moved (29|30|31) min earlier the model leaves ", doubt.message)
+    assert improve(rough(), [wrong], draws=50).model.hash == rough().hash
+
+
+@pytest.mark.parametrize("seed", [51, 52, 53, 54, 55])
+@pytest.mark.parametrize("lag_s", [600.0, 1800.0, 4000.0])
+def test_a_delay_is_no_clock_above_the_noise_either(lag_s: float, seed: int) -> None:
+    lags = day(seed, BENT, 30.0, lag_s)
+    assert "late_temperatures" not in [d.kind for d in compare(rough(), [lags]).doubts]
