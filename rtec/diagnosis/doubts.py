@@ -345,9 +345,8 @@ def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: floa
         left, none = (judged.pooled(measured - np.where(mine, f, 1.0) * predicted) for f in (factor, 0.0))
         met = BY_FAR * judged.residual if unit else NEAR_FIT * abs(factor) * (usual or 0.0)
         near = max(NEAR_FLOOR * judged.noise_floor, NEAR_REFIT * judged.refitted, met)
-        if left > min(BETTER * judged.residual, BETTER * none, near) or _as_well(
-            judged, left if unit else ALIKE * left
-        ):
+        close = left <= min(BETTER * judged.residual, BETTER * none, near)
+        if not close or _as_well(judged, left if unit else ALIKE * left):
             continue
         suspect = f"its readings may be in {unit}" if unit else "the unit or the gain of its readings may be wrong"
         sign = ", with the other sign" if unit and factor < 0.0 else ""
@@ -706,8 +705,11 @@ class _Edits:
         if whole is None or not names:
             return
         for i, m in enumerate(self.readings.measurements):
-            runs = np.unique(m.run)
-            beyond = self._first_beyond(i, runs, whole, ABOVE * usual)
+            run = np.concatenate(
+                [m.run[s.row] if s.source == i else np.zeros(len(s)) - 1 for s in self.readings.series]
+            )
+            runs = np.unique(run[run >= 0])
+            beyond = self._first_beyond(run, runs, whole, ABOVE * usual)
             for first, name in itertools.product((beyond, beyond - 1), names):  # a delay hides the first run
                 shown = self.readings.states[i].channels.get(name)
                 if first < HELD or shown is None:
@@ -715,7 +717,7 @@ class _Edits:
                 jump = float(np.median(shown[m.run == runs[first]]) - np.median(shown[m.run == runs[first - 1]]))
                 if not REAL["degc"] < abs(jump) < float(np.ptp(shown[m.run < runs[first]])) / HALF:
                     continue
-                left, alike, off = self._off(i, name, runs[first:], whole)
+                left, alike, off = self._off(i, name, run >= runs[first], runs[first:], whole)
                 unmoved = -off / jump
                 shows = HALF < unmoved[0] < 1.0 / HALF and float(np.median(unmoved)) > HALF
                 if shows and left < min(NEAR_FIT * usual, FAR_LESS * alike):
@@ -728,18 +730,18 @@ class _Edits:
                         "that sensor and its cable",
                     )
 
-    def _first_beyond(self, source: int, runs: NDArray[np.int64], whole: Floats, holds: float) -> int:
-        """Number of the first run of a file, in the order of its runs, with which the model no longer holds."""
+    def _first_beyond(self, run: Floats, runs: Floats, whole: Floats, holds: float) -> int:
+        """Which of some runs is the first with which the model no longer holds; 0 for none.
+
+        Args:
+            run: run of each reading, negative in other files, (m,).
+            runs: the runs of a file, in order.
+            whole: residual, (m,).
+            holds: up to which the model holds.
+        """
         readings = self.readings
-        run = np.concatenate(
-            [
-                np.searchsorted(runs, m.run[s.row]) if s.source == source else np.full(len(s), len(runs))
-                for s in readings.series
-                for m in [readings.measurements[s.source]]
-            ]
-        )
         for last in range(1, len(runs)):
-            drop = run > last
+            drop = (run > runs[last]) | (run < 0)
             few = readings.without(drop)
             there = np.array([not drop[s.part].all() for s in readings.series])
             left = floor.rms_by_series(few, floor.cleaned(few, whole[~drop]))
@@ -747,33 +749,38 @@ class _Edits:
                 return last
         return 0
 
-    def _off(self, source: int, name: str, runs: NDArray[np.int64], whole: Floats) -> tuple[float, float, Floats]:
-        """Residual if a sensor of a file had an error of its own in each of some runs, if they had one error that a
-        delay does not smooth, and the errors, K.
+    def _off(
+        self, source: int, name: str, since: NDArray[np.bool_], runs: Floats, whole: Floats
+    ) -> tuple[float, float, Floats]:
+        """Residual if a sensor was off by an amount of its own in each of some runs, and these amounts, K.
+
+        Between them: the residual if the machine changed then, by as much as one amount makes without a delay.
+
+        Args:
+            source: number of the file.
+            name: the sensor.
+            since: readings of these runs, (m,).
+            runs: the last runs of the file.
+            whole: residual, (m,).
         """
         m, state = self.readings.measurements[source], self.readings.states[source]
 
         def by(off: NDArray[np.bool_]) -> Floats:
             changed = self._left({name: lambda s: s.channels[name] + (off if s is state else 0.0)})
-            return np.zeros_like(whole) if changed is None else whole - changed
+            return np.zeros(len(since)) if changed is None else whole - changed
 
-        ends = [float(m.time_s[m.run == r].max()) for r in runs]
-        begins = [float(m.time_s[m.run < runs[0]].max()), *ends[:-1]]
-        since = np.concatenate(
-            [
-                (self.readings.measurements[s.source].run[s.row] >= runs[0]) & (s.source == source)
-                for s in self.readings.series
-            ]
-        )
-        own = [by((m.time_s > begin) & (m.time_s <= end)) for begin, end in zip(begins, ends, strict=True)]
+        def left(columns: Floats) -> tuple[float, Floats]:
+            errors = solve(columns, read)
+            rms = floor.rms_by_series(self.readings, read - columns @ errors)
+            return floor.pooled(self.readings, rms, self.scale), errors
+
+        ends = [float(m.time_s[m.run <= r].max()) for r in (float(runs[0]) - 1.0, *runs)]
+        own = [by((m.time_s > begin) & (m.time_s <= end)) for begin, end in itertools.pairwise(ends)]
         alike = np.where(since, by(np.ones(len(m), dtype=np.bool_)), 0.0)
-        *columns, one, left = floor.cleaned(self.readings, np.stack([*own, alike, whole], axis=1)).T
-        out = []
-        for design in (np.stack(columns, axis=1), one[:, None]):
-            errors = solve(design, left)
-            rms = floor.rms_by_series(self.readings, left - design @ errors)
-            out.append((floor.pooled(self.readings, rms, self.scale), errors))
-        return out[0][0], out[1][0], out[0][1]
+        flat = floor.cleaned(self.readings, np.stack([*own, alike, whole], axis=1))
+        read = flat[:, -1]
+        (one, off), (other, _) = left(flat[:, :-2]), left(flat[:, -2:-1])
+        return one, other, off
 
     def _within(self, by_s: float) -> "_Edits":
         """The same with the readings at which moved channels are known."""
