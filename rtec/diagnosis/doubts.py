@@ -332,7 +332,8 @@ def _as_well(judged: Judgement, residual: float) -> bool:
 def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: float | None) -> Iterator["_Edit"]:
     """Files whose readings are the prediction times one factor, where it explains what a refit of all numbers does.
 
-    A factor that a unit has may leave more, up to `BY_FAR` of the residual; for any other, one effect must leave more.
+    A factor that a unit has may leave more, up to `BY_FAR` of the residual; for any other, one effect must leave more,
+    and the model must have been fitted before: of one by hand all numbers may be too large.
     """
     readings = judged.readings
     source, weight = (np.asarray(v)[readings.series_of] for v in ([s.source for s in readings.series], judged.scale))
@@ -341,6 +342,8 @@ def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: floa
         made = np.where(mine, weight**2 * predicted, 0.0)
         factor = float(made @ measured) / max(float(made @ predicted), 1e-300)
         known, unit = unit_of(1.0 / factor, judged.unit) if factor else (1.0, "")
+        if not unit and usual is None:
+            continue
         factor = 1.0 / known
         left, none = (judged.pooled(measured - np.where(mine, f, 1.0) * predicted) for f in (factor, 0.0))
         met = BY_FAR * judged.residual if unit else NEAR_FIT * abs(factor) * (usual or 0.0)
