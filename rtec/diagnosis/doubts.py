@@ -261,7 +261,8 @@ def _edited_records(judged: Judgement, measured: Floats, predicted: Floats) -> "
     usual = _error_of_fit(judged.model, judged.unit, judged.readings.measurements)
     met = usual is not None and usual < NEAR_FLOOR * judged.noise_floor
     edits = _Edits(judged.model, few, judged.scale)
-    lost = [e for e in edits.lost(max(judged.noise_floor, usual or 0.0)) if not _as_well(judged, e.residual)]
+    lost = [e for e in edits.lost(max(judged.noise_floor, usual or 0.0)) if e.residual < BETTER * judged.residual]
+    lost = [e for e in lost if not _as_well(judged, e.residual)]
     factors = _factors(judged, measured, predicted, usual)
     found = min([*edits.possible(), *factors, *lost], key=lambda e: e.residual, default=None)
     if found is None:
@@ -697,8 +698,8 @@ class _Edits:
     def lost(self, usual: float) -> Iterator[_Edit]:
         """A sensor that shows something else than its part from a run on: an error of its own in each run explains all.
 
-        The model met the runs before, in which the sensor changed about as much. It jumps into the run; the machine
-        does not, and no change of the machine since then, alike in all runs, explains that.
+        The model met the runs before, in which the sensor changed about as much. It jumps into the run by a larger share
+        of that than any other; the machine does not, and no change of it since then, alike in all runs, explains that.
 
         Args:
             usual: residual of the model where nothing is wrong.
@@ -714,11 +715,16 @@ class _Edits:
             runs = np.unique(run[run >= 0])
             beyond = self._first_beyond(run, runs, whole, ABOVE * usual)
             for first, name in itertools.product((beyond, beyond - 1), names):  # a delay hides the first run
-                shown = self.readings.states[i].channels.get(name)
-                if first < HELD or shown is None:
+                if first < HELD:
                     continue
-                jump = float(np.median(shown[m.run == runs[first]]) - np.median(shown[m.run == runs[first - 1]]))
-                if not REAL["degc"] < abs(jump) < float(np.ptp(shown[m.run < runs[first]])) / HALF:
+                jump, share = self._jump(i, name, runs[first - 1], runs[first])
+                others = (
+                    self._jump(i, n, runs[first - 1], runs[first])[1]
+                    for n in self.readings.machine.sensor_names
+                    if n != name
+                )
+                most = all(o * np.sign(share) < abs(share) for o in others)
+                if abs(jump) < REAL["degc"] or abs(share) > 1.0 / HALF or not most:
                     continue
                 left, alike, off = self._off(i, name, run >= runs[first], runs[first:], whole)
                 unmoved = -off / jump
@@ -732,6 +738,14 @@ class _Edits:
                         "may have come loose",
                         "that sensor and its cable",
                     )
+
+    def _jump(self, source: int, name: str, last: float, first: float) -> tuple[float, float]:
+        """Jump of a sensor of a file from a run to another, K, and over its range before; zero where it is not read."""
+        m, shown = self.readings.measurements[source], self.readings.states[source].channels.get(name)
+        if shown is None:
+            return 0.0, 0.0
+        jump = float(np.median(shown[m.run == first]) - np.median(shown[m.run == last]))
+        return jump, jump / max(float(np.ptp(shown[m.run < first])), REAL["degc"])
 
     def _first_beyond(self, run: Floats, runs: Floats, whole: Floats, holds: float) -> int:
         """Which of some runs is the first with which the model no longer holds; 0 for none.
