@@ -698,8 +698,9 @@ class _Edits:
     def lost(self, usual: float) -> Iterator[_Edit]:
         """A sensor that shows something else than its part from a run on: an error of its own in each run explains all.
 
-        The model met the runs before, in which the sensor changed about as much. It jumps into the run by a larger share
-        of that than any other; the machine does not, and no change of it since then, alike in all runs, explains that.
+        The model met the runs before, in which the sensor changed about as much. It jumps into the run by a larger
+        share of that than any other; the machine does not, and no change of it since then, alike in all runs, explains
+        that.
 
         Args:
             usual: residual of the model where nothing is wrong.
