@@ -7,7 +7,7 @@ contradiction.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -18,7 +18,7 @@ from rtec.effects import Effect, State
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL, library
-from rtec.estimation.columns import ordered
+from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.gls import solve
@@ -26,7 +26,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series, looked_at
-from rtec.estimation.wrong_scale import odd_scales
+from rtec.estimation.wrong_scale import odd_scales, unit_of
 from rtec.machine import Axis
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -36,18 +36,21 @@ from rtec.wording import ERROR_UNITS, significant, sizes
 Floats = NDArray[np.float64]
 
 Kind = Literal[
-    "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
-    "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
-    "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "unexplained",
+    "wrong_scale", "wrong_gain", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction",
+    "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
+    "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
+    "unexplained",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
         "wrong_scale",
+        "wrong_gain",
         "wrong_channel",
         "swapped_sensors",
         "moved_origin",
         "turned_axis",
         "late_temperatures",
+        "lost_sensor",
         "contradiction",
         "corrected",
         "instrument_warm_up",
@@ -79,7 +82,8 @@ REACHED, HALF = 1.05, 0.5
 """An edit reaches the noise within this factor; where it does not, an effect that leaves this share above it, in
 squares, is clearly better."""
 ALIKE = 1.5
-"""Temperatures by another clock are asked about where an effect leaves more than this many times what they leave."""
+"""Temperatures by another clock, and a factor that no unit has, are asked about where an effect leaves more than this
+many times what they leave."""
 GROWS = "something that grows shifts the readings as much"
 SENSORS_LATE = "the sensors warm up that much later than their parts"
 FAR_LESS = 0.75
@@ -101,6 +105,8 @@ fit: at least this share of the file."""
 UNEXPLAINED = 2.0
 """A residual of this many times noise and slow drift together is neither; none of 84 quiet records had 1.7 times."""
 FEW_RUNS = 4
+HELD = 2
+"""Fewest runs that a model met before a sensor is said to be lost."""
 ALONE = "If the machine changed between them, diagnose the newer file alone."
 
 
@@ -135,14 +141,15 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     """All doubts about the readings of a model, fatal ones first."""
     readings = judged.readings
     measured, predicted = (floor.cleaned(readings, v) for v in (readings.values, judged.base.predicted))
-    edited = _edited_records(judged)
+    edited = _edited_records(judged, measured, predicted)
     found = [
         Doubt("wrong_scale", fault, "Correct the file first.", fatal=True)
         for fault in odd_scales(readings, measured, predicted)
     ]
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and so is the prediction
-    if not found and (odd := contradiction(judged)) is not None:
+    one_factor = edited is not None and edited.kind == "wrong_gain"  # explains why files differ, too
+    if not found and not one_factor and (odd := contradiction(judged)) is not None:
         step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}.{'' if odd.turned else f' {ALONE}'}"
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
     found += _corrected(judged, measured, predicted)
@@ -245,7 +252,7 @@ def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[D
     return out
 
 
-def _edited_records(judged: Judgement) -> "_Edit | None":
+def _edited_records(judged: Judgement, measured: Floats, predicted: Floats) -> "_Edit | None":
     """The likeliest fault of the recorded channels: the edit of the record with which the model fits far better."""
     moves = any(_moves(judged.readings, s) for s in judged.readings.series)
     if judged.residual < ABOVE * judged.noise_floor or not moves:
@@ -254,25 +261,34 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
     usual = _error_of_fit(judged.model, judged.unit, judged.readings.measurements)
     met = usual is not None and usual < NEAR_FLOOR * judged.noise_floor
     edits = _Edits(judged.model, few, judged.scale)
-    found = min(edits.possible(), key=lambda e: e.residual, default=None)
+    lost = [e for e in edits.lost(max(judged.noise_floor, usual or 0.0)) if e.residual < BETTER * judged.residual]
+    lost = [e for e in lost if not _as_well(judged, e.residual)]
+    factors = _factors(judged, measured, predicted, usual)
+    found = min([*edits.possible(), *factors, *lost], key=lambda e: e.residual, default=None)
     if found is None:
         return None
     near = NEAR_FLOOR * _whole_noise(judged)
+    if found.kind in ("wrong_gain", "lost_sensor"):
+        return found
     if found.kind == "late_temperatures" and not met:
-        return _by_another_clock(judged, found)
+        return _by_another_clock(judged, found, usual)
     if found.kind == "wrong_channel":
         # A refit of the numbers compensates a factor.
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     if found.residual <= min(BETTER * judged.residual, near):
         drifts = found.residual > NEAR_FLOOR * judged.noise_floor
-        return None if drifts and found.kind == "swapped_sensors" and _two_leave_less(judged, found) else found
+        return None if drifts and found.kind == "swapped_sensors" and _effect_does(judged, found) else found
     return found if found.fatal and _as_in_the_fit(judged, found) else None
 
 
-def _by_another_clock(judged: Judgement, found: "_Edit") -> "_Edit | None":
-    """Late temperatures where the model never met other readings: a delay that it lacks moves them as well."""
+def _by_another_clock(judged: Judgement, found: "_Edit", usual: float | None) -> "_Edit | None":
+    """Late temperatures where the model never met other readings: a delay that it lacks moves them as well.
+
+    A model that was fitted to others need not reach the noise: between the runs nobody may have read the temperatures.
+    """
     fitted = any(m.fingerprint in judged.model.measurements.values() for m in judged.readings.measurements)
-    if fitted or found.residual > min(BETTER * judged.residual, NEAR_FLOOR * judged.noise_floor):
+    near = NEAR_FLOOR * judged.noise_floor if usual is None else math.inf
+    if fitted or found.residual > min(BETTER * judged.residual, near):
         return None
     if not _delay_does(judged, found):
         return found
@@ -295,33 +311,68 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     if found.residual > min(AGAIN * judged.residual, max(by_fit, by_refit)):
         return False
 
-    def moved(effect: Effect, theta: Mapping[str, float]) -> Floats:
-        return floor.cleaned(readings, readings.columns(effect, theta))
-
-    if any(_left_by(judged, moved(f.effect, f.theta)) < AS_GOOD * found.residual for f in judged.model.effects):
-        return False
-    simple = _simple(judged)
-    if any(_clearly_less(_left_by(judged, moved(e, {})), found.residual, judged.noise_floor) for e in simple):
+    if _as_well(judged, found.residual):
         return False
     # One that changes with time would follow a drift.
     machine = judged.model.machine
     places = {c for a in machine.axes for c in a.moving_channels}
-    fixed = [e for e in simple if set(e.channels(machine)) <= places]
+    fixed = [_columns(judged, e) for e in _simple(judged) if set(e.channels(machine)) <= places]
     own = floor.cleaned(readings, judged.base.columns)
-    return not any(_left_by(judged, np.hstack([own, moved(e, {})])) < FAR_LESS * found.residual for e in fixed)
+    return not any(_left_by(judged, np.hstack([own, c])) < FAR_LESS * found.residual for c in fixed)
 
 
-def _two_leave_less(judged: Judgement, found: "_Edit") -> bool:
-    """Whether a missing effect of one number, with another or with new numbers of the model, leaves clearly less.
+def _as_well(judged: Judgement, residual: float) -> bool:
+    """Whether new numbers of one effect leave about as little as an edit, or a missing one of one number less."""
+    own = (_left_by(judged, _columns(judged, f.effect, f.theta)) for f in judged.model.effects)
+    if any(left < AS_GOOD * residual for left in own):
+        return True
+    new = (_left_by(judged, _columns(judged, e)) for e in _simple(judged))
+    return any(_clearly_less(left, residual, judged.noise_floor) for left in new)
 
-    Two sensors that are exchanged look like two effects, one by each: these leave no less than the exchange.
+
+def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: float | None) -> Iterator["_Edit"]:
+    """Files whose readings are the prediction times one factor, where it explains what a refit of all numbers does.
+
+    A factor that a unit has may leave more, up to `BY_FAR` of the residual; for any other, one effect must leave more,
+    and the model must have been fitted before: of one by hand all numbers may be too large.
     """
+    readings = judged.readings
+    source, weight = (np.asarray(v)[readings.series_of] for v in ([s.source for s in readings.series], judged.scale))
+    files = [(m.name, source == i) for i, m in enumerate(readings.measurements)]
+    for name, mine in files if len(files) == 1 else [*files, ("all files", source >= 0)]:
+        made = np.where(mine, weight**2 * predicted, 0.0)
+        factor = float(made @ measured) / max(float(made @ predicted), 1e-300)
+        known, unit = unit_of(1.0 / factor, judged.unit) if factor else (1.0, "")
+        if not unit and usual is None:
+            continue
+        factor = 1.0 / known
+        left, none = (judged.pooled(measured - np.where(mine, f, 1.0) * predicted) for f in (factor, 0.0))
+        met = BY_FAR * judged.residual if unit else NEAR_FIT * abs(factor) * (usual or 0.0)
+        near = max(NEAR_FLOOR * judged.noise_floor, NEAR_REFIT * judged.refitted, met)
+        close = left <= min(BETTER * judged.residual, BETTER * none, near)
+        if not close or _as_well(judged, left if unit else ALIKE * left):
+            continue
+        suspect = f"its readings may be in {unit}" if unit else "the unit or the gain of its readings may be wrong"
+        sign = ", with the other sign" if unit and factor < 0.0 else ""
+        edit, by = f"the readings of {name} times {1.0 / factor:.3g}", abs(1.0 / factor)
+        yield _Edit(left, "wrong_gain", edit, f"{suspect}{sign}", "the unit and the instrument", times=by)
+
+
+def _effect_does(judged: Judgement, found: "_Edit") -> bool:
+    """Whether one effect does what an exchange of sensors does, or a missing one clearly more.
+
+    The numbers of the model are refitted beside both then: what they make up for is evidence of neither.
+    """
+    if _as_well(judged, found.residual):
+        return True
     readings, noise = judged.readings, judged.noise_floor
-    columns = [floor.cleaned(readings, readings.columns(e, {})) for e in _simple(judged)]
-    first = min(columns, key=lambda c: _left_by(judged, c), default=None)
-    begun = [floor.cleaned(readings, judged.base.columns), *([] if first is None else [first])]
-    beside = (_left_by(judged, np.hstack([b, c])) for b in begun for c in columns)
-    return any(_less_above(left, found.residual, noise) for left in beside)
+    changed = readings.with_states([_with(s, found.channels) for s in readings.states])
+    there = base_of(judged.model, changed)
+    own, left = (floor.cleaned(changed, v) for v in (there.columns, readings.values - there.predicted))
+    exchanged = judged.pooled(left - own @ solve(own, left))
+    own = floor.cleaned(readings, judged.base.columns)
+    beside = (np.hstack([own, _columns(judged, e)]) for e in _simple(judged))
+    return any(_less_above(_left_by(judged, b), exchanged, noise) for b in beside)
 
 
 def _delay_does(judged: Judgement, found: "_Edit") -> bool:
@@ -337,11 +388,16 @@ def _delay_does(judged: Judgement, found: "_Edit") -> bool:
         if not sensors & set(effect.channels(machine)) or len(delays) > 1:
             continue
         thetas = [{p.name: v} for p in delays for v in p.grid] or [{}]
-        columns = [floor.cleaned(readings, readings.columns(effect, t)) for t in thetas]
+        columns = [_columns(judged, effect, t) for t in thetas]
         beside = [np.hstack([own, *pair]) for pair in itertools.pairwise(columns)] or [np.hstack([own, *columns])]
         if any(_left_by(judged, b) < ALIKE * found.residual for b in beside):
             return True
     return False
+
+
+def _columns(judged: Judgement, effect: Effect, theta: Mapping[str, float] | None = None) -> Floats:
+    """Columns of an effect, less what the instruments cannot know, (m, k)."""
+    return floor.cleaned(judged.readings, judged.readings.columns(effect, theta or {}))
 
 
 def _left_by(judged: Judgement, columns: Floats) -> float:
@@ -390,8 +446,14 @@ def _whole_noise(judged: Judgement) -> float:
     return floor.pooled(judged.readings, whole, judged.scale)
 
 
-Replaced = dict[str, Callable[[State], Floats]]
+Replaced = Mapping[str, Callable[[State], Floats]]
 """Channels replaced: of each, what it becomes from the state of a measurement."""
+
+
+def _with(state: State, channels: Replaced) -> State:
+    """A state with some channels replaced."""
+    changed = {**state.channels, **{c: make(state) for c, make in channels.items()}}
+    return State(state.machine, state.time_s, changed, state.reference_degc)
 
 
 @dataclass(frozen=True)
@@ -401,6 +463,8 @@ class _Edit:
     Attributes:
         residual: of the model with the edit.
         kind, edit, suspect, check: what it is, in words.
+        channels: what it replaces.
+        times: what it multiplies the readings by.
         unless: what else does the same, in words; empty for nothing.
         rival: what else does the same if an effect describes the readings as well; empty for that effect alone.
     """
@@ -410,6 +474,8 @@ class _Edit:
     edit: str
     suspect: str
     check: str
+    channels: Replaced = field(default_factory=dict)
+    times: float = 1.0
     unless: str = ""
     rival: str = ""
 
@@ -420,7 +486,7 @@ class _Edit:
 
     def doubt(self, before: float, unit: str) -> Doubt:
         """The doubt in words; `before` is the residual without the edit."""
-        here, there = sizes(self.residual, before)
+        here, there = sizes(self.times * self.residual, before)
         message = f"with {self.edit} the model leaves {here} instead of {there} {unit}: {self.suspect}."
         if not self.fatal:
             message = f"{message[:-1]}, unless {self.unless}."
@@ -446,7 +512,7 @@ class _Edits:
         """Every edit that is possible here."""
         return [*self._factors(), *self._exchanged(), *self._moved(), *self._turned(), *self._late()]
 
-    def residuals(self, edits: Sequence[Mapping[str, Callable[[State], Floats]]]) -> Floats:
+    def residuals(self, edits: Sequence[Replaced]) -> Floats:
         """Root mean square of the residual with some channels replaced, (edits,); infinite where that is impossible.
 
         Args:
@@ -461,14 +527,13 @@ class _Edits:
             out[i] = floor.pooled(self.readings, floor.rms_by_series(self.readings, left), self.scale)
         return out
 
-    def _left(self, channels: Mapping[str, Callable[[State], Floats]]) -> Floats | None:
+    def _left(self, channels: Replaced) -> Floats | None:
         """Residual of the model with some channels replaced, (m,); None where that is impossible."""
         states = []
         for state in self.readings.states:
             if any(c not in state.channels for c in channels):
                 return None
-            changed = {**state.channels, **{c: make(state) for c, make in channels.items()}}
-            states.append(State(state.machine, state.time_s, changed, state.reference_degc))
+            states.append(_with(state, channels))
         changed_readings = self.readings.with_states(states)
         left = self.readings.values.copy()
         try:
@@ -529,8 +594,8 @@ class _Edits:
         for one, two in itertools.combinations(sensors, 2):
             if {one, two} & self.read:
                 swap = {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}
-                residual = self.residuals([swap])[0]
-                yield _Edit(float(residual), "swapped_sensors", f"{one} and {two} exchanged", suspect, "their labels")
+                left, edit = float(self.residuals([swap])[0]), f"{one} and {two} exchanged"
+                yield _Edit(left, "swapped_sensors", edit, suspect, "their labels", swap)
 
     def _moved(self) -> Iterator[_Edit]:
         for axis in self.model.machine.axes:
@@ -551,7 +616,9 @@ class _Edits:
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
             found = left(by)
             apart = self._shifted(axis) > AS_GOOD * found
-            yield _Edit(found, "moved_origin", edit, suspect, f"the origin of {axis.name}", "" if apart else GROWS)
+            yield _Edit(
+                found, "moved_origin", edit, suspect, f"the origin of {axis.name}", unless="" if apart else GROWS
+            )
 
     def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float:
         """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all."""
@@ -570,7 +637,7 @@ class _Edits:
                 continue
 
             def turned(about_mm: float, axis: Axis = axis) -> Replaced:
-                out: Replaced = {axis.channel: lambda s: about_mm - s.channels[axis.channel]}
+                out = {axis.channel: lambda s: about_mm - s.channels[axis.channel]}
                 for name in (axis.direction_channel, axis.velocity_channel):
                     if all(name in s.channels for s in self.readings.states):
                         out[name] = lambda s, c=name: -s.channels[c]  # type: ignore[misc]
@@ -627,6 +694,111 @@ class _Edits:
             "the time of both",
             rival=SENSORS_LATE if by > 0.0 else "",
         )
+
+    def lost(self, usual: float) -> Iterator[_Edit]:
+        """A sensor that shows something else than its part from a run on: an error of its own in each run explains all.
+
+        The model met the runs before, in which the sensor changed about as much. It jumps into the run by a larger
+        share of that than any other; the machine does not, and no change of it since then, alike in all runs, explains
+        that.
+
+        Args:
+            usual: residual of the model where nothing is wrong.
+        """
+        whole = self._left({})
+        names = sorted(self.read & set(self.model.machine.sensor_names))
+        if whole is None or not names:
+            return
+        for i, m in enumerate(self.readings.measurements):
+            run = np.concatenate(
+                [m.run[s.row] if s.source == i else np.zeros(len(s)) - 1 for s in self.readings.series]
+            )
+            runs = np.unique(run[run >= 0])
+            beyond = self._first_beyond(run, runs, whole, ABOVE * usual)
+            for first, name in itertools.product((beyond, beyond - 1), names):  # a delay hides the first run
+                if first < HELD:
+                    continue
+                jump, share = self._jump(i, name, runs[first - 1], runs[first])
+                others = (
+                    self._jump(i, n, runs[first - 1], runs[first])[1]
+                    for n in self.readings.machine.sensor_names
+                    if n != name
+                )
+                most = all(o * np.sign(share) < abs(share) for o in others)
+                if abs(jump) < REAL["degc"] or abs(share) > 1.0 / HALF or not most:
+                    continue
+                left, alike, off = self._off(i, name, run >= runs[first], runs[first:], whole)
+                unmoved = -off / jump
+                shows = HALF < unmoved[0] < 1.0 / HALF and float(np.median(unmoved)) > HALF
+                if shows and left < min(NEAR_FIT * usual, FAR_LESS * alike):
+                    yield _Edit(
+                        left,
+                        "lost_sensor",
+                        f"{name} of {m.name} unknown from run {int(runs[first])} on",
+                        f"it jumps by {significant(jump, 2, sign=True)} K there, which the machine does not show, and "
+                        "may have come loose",
+                        "that sensor and its cable",
+                    )
+
+    def _jump(self, source: int, name: str, last: float, first: float) -> tuple[float, float]:
+        """Jump of a sensor of a file from a run to another, K, and over its range before; zero where it is not read."""
+        m, shown = self.readings.measurements[source], self.readings.states[source].channels.get(name)
+        if shown is None:
+            return 0.0, 0.0
+        jump = float(np.median(shown[m.run == first]) - np.median(shown[m.run == last]))
+        return jump, jump / max(float(np.ptp(shown[m.run < first])), REAL["degc"])
+
+    def _first_beyond(self, run: Floats, runs: Floats, whole: Floats, holds: float) -> int:
+        """Which of some runs is the first with which the model no longer holds; 0 for none.
+
+        Args:
+            run: run of each reading, negative in other files, (m,).
+            runs: the runs of a file, in order.
+            whole: residual, (m,).
+            holds: up to which the model holds.
+        """
+        readings = self.readings
+        for last in range(1, len(runs)):
+            drop = (run > runs[last]) | (run < 0)
+            few = readings.without(drop)
+            there = np.array([not drop[s.part].all() for s in readings.series])
+            left = floor.rms_by_series(few, floor.cleaned(few, whole[~drop]))
+            if floor.pooled(few, left, self.scale[there]) > holds:
+                return last
+        return 0
+
+    def _off(
+        self, source: int, name: str, since: NDArray[np.bool_], runs: Floats, whole: Floats
+    ) -> tuple[float, float, Floats]:
+        """Residual if a sensor was off by an amount of its own in each of some runs, and these amounts, K.
+
+        Between them: the residual if the machine changed then, by as much as one amount makes without a delay.
+
+        Args:
+            source: number of the file.
+            name: the sensor.
+            since: readings of these runs, (m,).
+            runs: the last runs of the file.
+            whole: residual, (m,).
+        """
+        m, state = self.readings.measurements[source], self.readings.states[source]
+
+        def by(off: NDArray[np.bool_]) -> Floats:
+            changed = self._left({name: lambda s: s.channels[name] + (off if s is state else 0.0)})
+            return np.zeros(len(since)) if changed is None else whole - changed
+
+        def left(columns: Floats) -> tuple[float, Floats]:
+            errors = solve(columns, read)
+            rms = floor.rms_by_series(self.readings, read - columns @ errors)
+            return floor.pooled(self.readings, rms, self.scale), errors
+
+        ends = [float(m.time_s[m.run <= r].max()) for r in (float(runs[0]) - 1.0, *runs)]
+        own = [by((m.time_s > begin) & (m.time_s <= end)) for begin, end in itertools.pairwise(ends)]
+        alike = np.where(since, by(np.ones(len(m), dtype=np.bool_)), 0.0)
+        flat = floor.cleaned(self.readings, np.stack([*own, alike, whole], axis=1))
+        read = flat[:, -1]
+        (one, off), (other, _) = left(flat[:, :-2]), left(flat[:, -2:-1])
+        return one, other, off
 
     def _within(self, by_s: float) -> "_Edits":
         """The same with the readings at which moved channels are known."""

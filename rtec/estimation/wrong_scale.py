@@ -4,11 +4,15 @@ No machine changes like this between two measurements; a file does. A refit woul
 and the loop would then double the error instead of removing it.
 """
 
+import math
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.estimation import floor
+from rtec.estimation.floor import Unit
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
@@ -18,6 +22,19 @@ ALIKE = 0.8
 NEAR = 0.2
 """Relative deviation of a factor from its nominal value, at most."""
 INCH = 25.4
+UNITS: Mapping[Unit, Mapping[float, str]] = {
+    "um": {
+        1e3: "mm",
+        INCH: "thousandths of an inch",
+        10.0: "hundredths of a mm",
+        0.1 * INCH: "ten-thousandths of an inch",
+        1e-3: "nm",
+    },
+    "urad": {1e3: "mrad", 4.848: "seconds of arc"},
+}
+"""Units of readings, by what one of them is, in the unit that they should have,"""
+THAT = 0.05
+"""within this relative difference."""
 FACTORS = {
     -1.0: "is minus what {} predicts: is the sign of the readings right?",
     1e-3: "is a thousandth of what {} predicts: are the readings in mm?",
@@ -51,6 +68,12 @@ def _factor(measured: Floats, predicted: Floats) -> str:
         return ""
     factor = cross / own
     return next((words for f, words in FACTORS.items() if abs(factor / f - 1.0) < NEAR), "")
+
+
+def unit_of(factor: float, unit: Unit) -> tuple[float, str]:
+    """The known unit of readings that become `unit` times a factor, and that factor; an empty name for none."""
+    known = ((math.copysign(f, factor), name) for f, name in UNITS.get(unit, {}).items())
+    return next(((f, name) for f, name in known if abs(factor / f - 1.0) < THAT), (factor, ""))
 
 
 def check_scales(readings: Readings, predicted: Floats) -> None:
