@@ -316,6 +316,8 @@ def _default(key: Key) -> str:
 EXAMPLES: Final[Mapping[str, str]] = {
     # machine, run, model
     "run.run.model": '"model.toml"',
+    "model.correlation.numbers": '["1 scale(EXX, X) k", "2 backlash(EXX, X) B"]',
+    "model.correlation.rows": '["", "-0.25"]',
     "run.run.log_folder": '"logs"',
     "run.run.state_folder": '"/var/lib/rtec/mill"',
     "run.role.spindle": '"machine"',

@@ -24,7 +24,7 @@ from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import SearchScale
-from rtec.model.model import Correlation, names_of
+from rtec.model.model import ErrorCorrelation, names_of
 from rtec.wording import significant
 
 Floats = NDArray[np.float64]
@@ -75,7 +75,7 @@ class Joint:
     disputed: tuple[str, ...] = ()
     plain: "Joint | None" = field(default=None, repr=False)
     undetermined: tuple[int, ...] = ()
-    correlation: Correlation | None = None
+    correlation: ErrorCorrelation | None = None
     settled: tuple[int, ...] = ()
 
 
@@ -502,7 +502,7 @@ def _looseness(work: _Work, by_all: Plain, whitener: Whitener, columns: Floats) 
     return loose
 
 
-def _numbers(work: _Work, found: _Numbers) -> tuple[tuple[FittedEffect, ...], tuple[int, ...], Correlation]:
+def _numbers(work: _Work, found: _Numbers) -> tuple[tuple[FittedEffect, ...], tuple[int, ...], ErrorCorrelation]:
     """Effects with their refitted numbers and standard errors; those of which only the sum is determined; and the
     correlation of the errors.
     """
@@ -540,7 +540,7 @@ def _numbers(work: _Work, found: _Numbers) -> tuple[tuple[FittedEffect, ...], tu
     mine = known[np.ix_(terms, terms)]
     names = [*(f"{i} {f.label} {n}" for i, f in enumerate(filled, 1) for n in f.values),
              *(f"{i + 1} {filled[i].label} {n}" for i, n in owner)]  # fmt: skip
-    return tuple(out), _undetermined(readings, found, whole[:, terms], mine, of), Correlation.of(names, mine)
+    return tuple(out), _undetermined(readings, found, whole[:, terms], mine, of), ErrorCorrelation.of(names, mine)
 
 
 def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:

@@ -13,7 +13,7 @@ from rtec.effects import effect_class
 from rtec.errors import ModelError
 from rtec.files import whole
 from rtec.machine import Machine
-from rtec.model.model import Correlation, FittedEffect, Model, number_names
+from rtec.model.model import ErrorCorrelation, FittedEffect, Model, number_names
 from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, DegreesCelsius, MicrometresNotNegative
 from rtec.tomlfile import Strict, read_toml, validated
 
@@ -188,7 +188,7 @@ def tables(model: Model) -> dict[str, Any]:
     return out
 
 
-def _read_correlation(table: _CorrelationTable | None, source: str) -> Correlation | None:
+def _read_correlation(table: _CorrelationTable | None, source: str) -> ErrorCorrelation | None:
     if table is None:
         return None
     if [len(row) for row in table.rows] != list(range(len(table.numbers))):
@@ -196,7 +196,7 @@ def _read_correlation(table: _CorrelationTable | None, source: str) -> Correlati
             f"{source}: [correlation] rows: need one for each of the {len(table.numbers)} numbers, the first empty and "
             "each longer by one"
         )
-    return Correlation(tuple(table.numbers), tuple(table.rows))
+    return ErrorCorrelation(tuple(table.numbers), tuple(table.rows))
 
 
 def _check_correlation(model: Model, source: str) -> None:

@@ -98,8 +98,8 @@ class FittedEffect:
 
 
 @dataclass(frozen=True)
-class Correlation:
-    """Correlation of the errors of a model's numbers.
+class ErrorCorrelation:
+    """ErrorCorrelation of the errors of a model's numbers.
 
     Attributes:
         numbers: place and label of the effect, from 1, and name of the number; as `number_names` gives them.
@@ -110,7 +110,7 @@ class Correlation:
     rows: tuple[tuple[float, ...], ...]
 
     @classmethod
-    def of(cls, numbers: Sequence[str], covariance: Floats) -> "Correlation":
+    def of(cls, numbers: Sequence[str], covariance: Floats) -> "ErrorCorrelation":
         """From the covariance of numbers, (n, n); those without an error correlate with none."""
         sizes = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         scale = np.where(sizes > 0.0, sizes, np.inf)
@@ -119,7 +119,7 @@ class Correlation:
         return cls(tuple(numbers), rows)
 
     def matrix(self, numbers: Sequence[str]) -> Floats:
-        """Correlation matrix of some numbers, (n, n); what is not in it correlates with none."""
+        """ErrorCorrelation matrix of some numbers, (n, n); what is not in it correlates with none."""
         whole = np.eye(len(self.numbers))
         for i, row in enumerate(self.rows):
             whole[i, :i] = whole[:i, i] = row
@@ -131,10 +131,10 @@ class Correlation:
             out[np.ix_(mine, mine)] = whole[np.ix_(theirs, theirs)]
         return out
 
-    def among(self, effects: Sequence[FittedEffect]) -> "Correlation":
+    def among(self, effects: Sequence[FittedEffect]) -> "ErrorCorrelation":
         """The same for the numbers of these effects that are in it."""
         names = [n for n in number_names(effects) if n in self.numbers]
-        return Correlation.of(names, self.matrix(names))
+        return ErrorCorrelation.of(names, self.matrix(names))
 
 
 def number_names(effects: Sequence[FittedEffect]) -> list[str]:
@@ -168,7 +168,7 @@ class Model(Shown):
     noise_um: float | None = None
     measurements: Mapping[str, str] = field(default_factory=dict)
     history: tuple[Mapping[str, Any], ...] = ()
-    correlation: Correlation | None = None
+    correlation: ErrorCorrelation | None = None
 
     def facts(self) -> dict[str, Any]:
         """The model as plain data: its name, its machine, and every number with its standard error and unit."""

@@ -19,7 +19,7 @@ from rtec.estimation.outliers import clean
 from rtec.estimation.readings import Readings, read
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.model.model import Correlation, number_names
+from rtec.model.model import ErrorCorrelation, number_names
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ def test_the_evidence_is_the_density_of_a_normal_distribution(changed: float, ne
     readings = day(5, 8.0 - changed, 2.0, 6.0)
     fitted = model(8.0, 2.0, 6.0)
     fitted = [*fitted[:2], replace(fitted[2], errors={})] if new else fitted
-    together = Correlation((number_names(fitted)[0], number_names(fitted)[2]), ((), (0.7,)))
+    together = ErrorCorrelation((number_names(fitted)[0], number_names(fitted)[2]), ((), (0.7,)))
     work = joint._Work([f.effect for f in fitted], readings, fitted, replace(earlier(fitted), correlation=together))
     columns = work.columns([f.theta for f in fitted])
     whitener = find_noise(readings, columns)

@@ -16,7 +16,7 @@ from rtec.effects import EFFECTS, effect_class
 from rtec.errors import ModelError, RtecError
 from rtec.model import FittedEffect, Model, load_model, save_model
 from rtec.model.file import model_from, tables
-from rtec.model.model import Correlation, number_names
+from rtec.model.model import ErrorCorrelation, number_names
 from tests.support.machines import bridge, turning_centre
 
 MACHINE = turning_centre()
@@ -357,7 +357,7 @@ def test_a_good_model_with_one_thing_replaced(data: st.DataObject) -> None:
     model_or_error(tree)
 
 
-TOGETHER = Correlation(("1 scale(EXX, X) k", "2 ambient_drift(EZ0spindle, T_air) k"), ((), (-0.25,)))
+TOGETHER = ErrorCorrelation(("1 scale(EXX, X) k", "2 ambient_drift(EZ0spindle, T_air) k"), ((), (-0.25,)))
 
 
 def test_the_correlation_of_the_errors_is_kept(tmp_path: Path) -> None:
@@ -369,7 +369,7 @@ def test_the_correlation_of_the_errors_is_kept(tmp_path: Path) -> None:
     assert np.array_equal(TOGETHER.matrix(names[:2]), [[1.0, -0.25], [-0.25, 1.0]])
     assert np.array_equal(TOGETHER.matrix(names[2:]), [[1.0]]), "of the delay none is known"
     save_model(replace(whole, effects=whole.effects[:1]), path)
-    assert load_model(path, MACHINE).correlation == Correlation(TOGETHER.numbers[:1], ((),))
+    assert load_model(path, MACHINE).correlation == ErrorCorrelation(TOGETHER.numbers[:1], ((),))
 
 
 @pytest.mark.parametrize(
