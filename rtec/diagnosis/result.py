@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts import Doubt
 from rtec.effects import Effect
+from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.judge import Judgement
 from rtec.model import FittedEffect
 from rtec.result import Result
@@ -280,6 +281,8 @@ class Diagnosis(Result):
         doubts: about the record itself.
         picture: of rank 1 or of the unknown, where there is one.
         runs: of an undecided answer, the differences between runs; None otherwise.
+        changed: numbers of the model that have changed since the readings that it was fitted to, where that was asked.
+        changed_rms: residual with these refitted and all others kept.
     """
 
     page_maker: ClassVar[str] = "rtec.report.diagnosis:diagnosis_page"
@@ -303,11 +306,18 @@ class Diagnosis(Result):
     judged: Judgement | None = field(default=None, repr=False, compare=False)
     doubts: tuple[Doubt, ...] = ()
     runs: RunsDiffer | None = None
+    changed: tuple[ChangedNumber, ...] = ()
+    changed_rms: float = math.nan
 
     @property
     def out_of_date(self) -> bool:
         """Whether a refit of the model's own numbers would clearly lower the residual."""
         return self.refit < REFIT * self.rms_residual and self.rms_residual > self.noise_floor / REFIT
+
+    @property
+    def mostly_changed(self) -> bool:
+        """Whether changed numbers of the model, refitted, remove most of the mean square."""
+        return self.changed_rms**2 < 0.5 * self.rms_residual**2
 
     @property
     def group(self) -> tuple[Finding, ...]:
@@ -328,6 +338,7 @@ class Diagnosis(Result):
             "noise_floor_um": self.noise_floor,
             "refit_um": self.refit if math.isfinite(self.refit) else None,
             "out_of_date": self.out_of_date,
+            "changed": [vars(c) for c in self.changed],
             "adequacy": self.adequacy,
             "candidates": [_finding(f) for f in self.findings],
             "unknown": _unknown(self.unknown),

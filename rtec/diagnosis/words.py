@@ -11,9 +11,10 @@ from itertools import pairwise
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member
 from rtec.effects.time_data import MissedCounts
+from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import minutes
 from rtec.model import FittedEffect
-from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, with_error
+from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, two_numbers, with_error
 
 ABOVE = 1.5
 """Residual, in noise floors, above which the sentence gives the part that is slow drift."""
@@ -113,6 +114,23 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
 
 
+def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float) -> Diagnosis:
+    """The diagnosis with numbers of the model that have changed, and the residual with them, in its sentence."""
+    if not changed:
+        return d
+    parts = [f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}" for c in changed]
+    more = f" and {len(parts) - MOST_CHANGED} more" if len(parts) > MOST_CHANGED else ""
+    before, after = two_numbers(d.rms_residual, rms)
+    text = (
+        f"Numbers of the model have changed since it was fitted: {', '.join(parts[:MOST_CHANGED])}{more}; with these "
+        f"alone the residual falls from {before} to {after} {ERROR_UNITS[d.unit]}."
+    )
+    d = replace(d, changed=tuple(changed), changed_rms=rms)
+    order = (text, sentence(d.sentence)) if d.mostly_changed else (sentence(d.sentence), text)
+    return replace(d, sentence=" ".join(order))
+
+
+MOST_CHANGED = 4
 FOREIGN = re.compile(r"(The model leaves )(.+? of .+?)(, and left .+)", re.DOTALL)
 
 

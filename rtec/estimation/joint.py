@@ -150,6 +150,41 @@ class _Work:
         return np.concatenate([*parts, self.readings.setup], axis=1)
 
 
+@dataclass(frozen=True)
+class ChangedNumber:
+    """A number of a model that is another one in new readings.
+
+    Attributes:
+        effect: label of its effect.
+        name, unit: of the number.
+        was, now: earlier, and in these readings.
+        error: standard error of `now`.
+    """
+
+    effect: str
+    name: str
+    unit: str
+    was: float
+    now: float
+    error: float
+
+
+def changed_numbers(model: Model, readings: Readings) -> tuple[tuple[ChangedNumber, ...], tuple[FittedEffect, ...]]:
+    """Numbers of a model that have changed since the readings that it was fitted to; and its effects with them.
+
+    Args:
+        model: with standard errors; a number without one is known too little to have changed.
+        readings: other ones.
+    """
+    fit, out = joint_fit(model.effects, readings, earlier=model), []
+    for i, (was, now) in enumerate(zip(model.effects, fit.effects, strict=True)):
+        for p in was.effect.coefficients(model.machine) if i not in fit.settled else ():
+            old, new, error = was.values[p.name], now.values[p.name], now.errors.get(p.name, 0.0)
+            if abs(new - old) > FAR * math.hypot(was.errors.get(p.name, math.inf), error):
+                out.append(ChangedNumber(was.label, p.name, p.unit, old, new, error))
+    return tuple(out), fit.effects
+
+
 def joint_fit(
     effects: Sequence[FittedEffect],
     readings: Readings,

@@ -301,6 +301,8 @@ def _next(d: Diagnosis) -> list[str]:
         return []
     model, *data = d.files
     last = ("-o", f"{model.with_suffix('')}-more.toml", *d.machine_option)
+    if d.mostly_changed:
+        return [shell_command("rtec", "improve", *d.files, *last)]
     sure = d.verdict == "missing_effect"
     if d.verdict == "ambiguous" and d.findings[0].confused_with and len(d.together) < 2:
         rivals = _rivals(d) if d.machine_file is not None else []

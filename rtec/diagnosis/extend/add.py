@@ -368,13 +368,7 @@ def no_worse(model: Model, refitted: Joint) -> Joint:
     bound = (1.0 + ROUNDING) * residual_size(model.effects, readings)
     fits = [refitted, *([refitted.plain] if refitted.plain is not None else [])]
     good = [f for f in fits if _size(readings, f.left) <= bound]
-    as_it_is = replace(
-        refitted,
-        effects=model.effects,
-        left=stands,
-        correlation=model.correlation,
-        settled=tuple(range(len(model.effects))),
-    )
+    as_it_is = replace(refitted, effects=model.effects, left=stands, correlation=model.correlation)
     return good[0] if good else as_it_is
 
 

@@ -40,6 +40,7 @@ from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.gls import held_out_gain
+from rtec.estimation.joint import changed_numbers
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
@@ -111,9 +112,23 @@ def diagnose(
         progress = stage or (lambda *_: None)
         progress("reading, finding the noise", 0, 1)
         there = given or clean(measurements, model.reference_degc).without_ends()
-        return _Search(model, there, seed, alpha, draws, only, explain, progress).diagnosis()
+        found = _Search(model, there, seed, alpha, draws, only, explain, progress).diagnosis()
+        return _with_changes(found, model, there) if explain else found
 
 
+def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
+    """The diagnosis, also with numbers of the model that have changed since the readings that it was fitted to."""
+    again = any(m.fingerprint in model.measurements.values() for m in given.readings.measurements)
+    known = any(f.errors for f in model.effects)
+    if again or not known or any(d.fatal for d in found.doubts) or found.rms_residual <= AT_NOISE * found.noise_floor:
+        return found
+    changed, effects = changed_numbers(model, given.readings)
+    left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
+    return words.with_changes(found, changed, left.residual) if changed else found
+
+
+AT_NOISE = 1.1
+"""A residual within this factor of the noise floor says nothing about numbers that have changed."""
 ANOTHER = 0.05
 """Periods within this relative difference are one."""
 

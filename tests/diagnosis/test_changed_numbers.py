@@ -1,0 +1,66 @@
+"""The machine has changed since its model was fitted: which numbers, and that no effect of heat is blamed for it.
+
+Oracle: what was hidden.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rtec.cli.main import status
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model, load_model, save_model
+from tests.support.diagnosis_examples import effects, laser, small_machine, write_laser, write_machine
+
+KNOWN = ("scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2",
+         "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=6")  # fmt: skip
+WORN = (KNOWN[0], "backlash,component=EXX,axis=X,B=6", KNOWN[2])
+ERRORS = (0.3, 0.1, 0.3)
+
+
+def known() -> Model:
+    fitted = [replace(f, errors=dict.fromkeys(f.values, e)) for f, e in zip(effects(*KNOWN), ERRORS, strict=True)]
+    return Model(small_machine(), tuple(fitted), name="known")
+
+
+def today(seed: int, truth: tuple[str, ...]) -> Measurement:
+    return laser(list(truth), seed, noise={"white_um": 0.3, "drift_um": 0.2, "drift_tau_s": 2400.0})
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_worn_nut_is_named_and_nothing_else(seed: int) -> None:
+    d = diagnose(known(), [today(seed, WORN)], draws=50, explain=True)
+    (one,) = d.changed
+    assert (one.effect, one.name, one.was) == ("backlash(EXX, X)", "B", 2.0)
+    assert one.now == pytest.approx(6.0, abs=0.3)
+    assert d.sentence.startswith("Numbers of the model have changed since it was fitted: backlash(EXX, X) B from 2.0")
+    assert d.facts()["changed"] == [vars(one)]
+    done = improve(known(), [today(seed, WORN)], draws=50)
+    assert done.model.effects[2].values["k"] == pytest.approx(6.0, abs=0.5)
+    assert not done.steps
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_machine_that_has_not_changed_is_not_said_to_have(seed: int) -> None:
+    hidden = "cyclic_screw,component=EXX,axis=X,pitch=5,s1=1.5,c1=0"
+    d = diagnose(known(), [today(seed, (*KNOWN, hidden))], draws=50, explain=True)
+    assert d.findings[0].accepted
+    assert not d.changed
+
+
+def test_the_next_command_refits_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_machine(tmp_path)
+    save_model(known(), tmp_path / "model.toml")
+    table = write_laser(tmp_path, WORN, 4)
+    capsys.readouterr()
+    words = [str(tmp_path / "model.toml"), str(table), "--machine", str(tmp_path / "machine.toml")]
+    assert status(["diagnose", *words]) == 0
+    out = capsys.readouterr().out
+    assert "Next: rtec improve" in out
+    assert status(["improve", *words, "-o", str(tmp_path / "better.toml"), "--yes"]) == 0
+    better = load_model(tmp_path / "better.toml", small_machine())
+    assert better.effects[1].values["B"] == pytest.approx(6.0, abs=0.3)
+    assert better.correlation is not None
