@@ -26,7 +26,7 @@ from rtec.estimation.judge import Judgement, MeasurementMet
 from rtec.estimation.outliers import Clean
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
-from rtec.model.model import ErrorCorrelation
+from rtec.model.model import ErrorCorrelation, number_name
 
 Floats = NDArray[np.float64]
 TOLD = 5
@@ -142,9 +142,9 @@ def _correlation(fit: Estimate) -> ErrorCorrelation:
     """ErrorCorrelation of the errors of all numbers of a fit."""
     machine, names = fit.sources[0].measurement.machine, list[str]()
     for i, term in enumerate(fit.terms, 1):
-        names += [f"{i} {term.effect.label} {n}" for n in term.names(machine)]
+        names += [number_name(i, term.effect, n) for n in term.names(machine)]
     owners = [(fit.terms.index(s.term) + 1, s.name) for s in fit.found.slopes]
-    names += [f"{i} {fit.terms[i - 1].effect.label} {n}" for i, n in owners]
+    names += [number_name(i, fit.terms[i - 1].effect, n) for i, n in owners]
     return ErrorCorrelation.of(names, fit.covariance)
 
 

@@ -114,17 +114,19 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
 
 
+def of_changes(changed: Sequence[ChangedNumber]) -> str:
+    """Numbers of a model that have changed, before and now, in words."""
+    parts = [f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}" for c in changed]
+    more = f" and {len(parts) - MOST_CHANGED} more" if len(parts) > MOST_CHANGED else ""
+    return f"Numbers of the model have changed since it was fitted: {', '.join(parts[:MOST_CHANGED])}{more}"
+
+
 def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float) -> Diagnosis:
     """The diagnosis with numbers of the model that have changed, and the residual with them, in its sentence."""
     if not changed:
         return d
-    parts = [f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}" for c in changed]
-    more = f" and {len(parts) - MOST_CHANGED} more" if len(parts) > MOST_CHANGED else ""
     before, after = two_numbers(d.rms_residual, rms)
-    text = (
-        f"Numbers of the model have changed since it was fitted: {', '.join(parts[:MOST_CHANGED])}{more}; with these "
-        f"alone the residual falls from {before} to {after} {ERROR_UNITS[d.unit]}."
-    )
+    text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {ERROR_UNITS[d.unit]}."
     d = replace(d, changed=tuple(changed), changed_rms=rms)
     order = (text, sentence(d.sentence)) if d.mostly_changed else (sentence(d.sentence), text)
     return replace(d, sentence=" ".join(order))

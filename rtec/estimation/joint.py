@@ -24,7 +24,7 @@ from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import SearchScale
-from rtec.model.model import ErrorCorrelation, names_of
+from rtec.model.model import ErrorCorrelation, names_of, number_name
 from rtec.wording import significant
 
 Floats = NDArray[np.float64]
@@ -176,13 +176,19 @@ def changed_numbers(model: Model, readings: Readings) -> tuple[tuple[ChangedNumb
         model: with standard errors; a number without one is known too little to have changed.
         readings: other ones.
     """
-    fit, out = joint_fit(model.effects, readings, earlier=model), []
-    for i, (was, now) in enumerate(zip(model.effects, fit.effects, strict=True)):
+    fit = joint_fit(model.effects, readings, earlier=model)
+    return changed_between(model, fit), fit.effects
+
+
+def changed_between(model: Model, fit: Joint) -> tuple[ChangedNumber, ...]:
+    """Numbers of a model that a fit, whose first effects are the model's, found changed."""
+    out = []
+    for i, (was, now) in enumerate(zip(model.effects, fit.effects, strict=False)):
         for p in was.effect.coefficients(model.machine) if i not in fit.settled else ():
             old, new, error = was.values[p.name], now.values[p.name], now.errors.get(p.name, 0.0)
             if abs(new - old) > FAR * math.hypot(was.errors.get(p.name, math.inf), error):
                 out.append(ChangedNumber(was.label, p.name, p.unit, old, new, error))
-    return tuple(out), fit.effects
+    return tuple(out)
 
 
 def joint_fit(
@@ -371,7 +377,7 @@ def _prior(work: _Work, looseness: Sequence[float]) -> _Prior:
             centre.append(value)
             held.append(not error and bool(f.errors))
             spread.append(loose * error if error else (HELD if held[-1] else NEW) * size)
-            names.append(f"{i + 1} {f.label} {p.name}" if error and loose == 1.0 else "")
+            names.append(number_name(i + 1, f.effect, p.name) if error and loose == 1.0 else "")
     count = work.readings.setup.shape[1]
     whole = np.array([*spread, *[np.inf] * count])
     linear, left_out = np.array([*centre, *[0.0] * count]), np.array([*held, *[False] * count])
@@ -573,8 +579,8 @@ def _numbers(work: _Work, found: _Numbers) -> tuple[tuple[FittedEffect, ...], tu
     terms = np.append(np.arange(len(of)), columns.shape[1] + np.arange(len(owner)))
     of = np.append(of, np.array([i for i, _ in owner], dtype=np.int64))
     mine = known[np.ix_(terms, terms)]
-    names = [*(f"{i} {f.label} {n}" for i, f in enumerate(filled, 1) for n in f.values),
-             *(f"{i + 1} {filled[i].label} {n}" for i, n in owner)]  # fmt: skip
+    names = [number_name(i, f.effect, n) for i, f in enumerate(filled, 1) for n in f.values]
+    names += [number_name(i + 1, filled[i].effect, n) for i, n in owner]
     return tuple(out), _undetermined(readings, found, whole[:, terms], mine, of), ErrorCorrelation.of(names, mine)
 
 

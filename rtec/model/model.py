@@ -137,9 +137,14 @@ class ErrorCorrelation:
         return ErrorCorrelation.of(names, self.matrix(names))
 
 
+def number_name(place: int, effect: Effect, name: str) -> str:
+    """Name of a number: place of the effect, from 1, and its label, and the number's own name."""
+    return f"{place} {effect.label} {name}"
+
+
 def number_names(effects: Sequence[FittedEffect]) -> list[str]:
-    """Names of all numbers: place and label of the effect, and the number's own."""
-    return [f"{i} {f.label} {n}" for i, f in enumerate(effects, 1) for n in (*f.values, *f.theta)]
+    """Names of all numbers of effects."""
+    return [number_name(i, f.effect, n) for i, f in enumerate(effects, 1) for n in (*f.values, *f.theta)]
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,8 @@ def test_the_next_command_refits_them(tmp_path: Path, capsys: pytest.CaptureFixt
     out = capsys.readouterr().out
     assert "Next: rtec improve" in out
     assert status(["improve", *words, "-o", str(tmp_path / "better.toml"), "--yes"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.startswith("Numbers of the model have changed since it was fitted: backlash(EXX, X) B from 2.0")
     better = load_model(tmp_path / "better.toml", small_machine())
     assert better.effects[1].values["B"] == pytest.approx(6.0, abs=0.3)
     assert better.correlation is not None

@@ -29,7 +29,7 @@ from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.floor import Unit
 from rtec.estimation.gls import held_out, solve, without_nuisance
-from rtec.estimation.joint import Joint, joint_fit
+from rtec.estimation.joint import ChangedNumber, Joint, changed_between, joint_fit
 from rtec.estimation.judge import Judgement
 from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import least_noise
@@ -155,6 +155,7 @@ class Added(Result):
         undetermined: effects that cancel each other since the addition: only their sum is determined.
         doubts: about the record, in words, where they rule out fitting any number of the model to it.
         own_kept: number of effects of the model, from the first on, that have kept their numbers.
+        changed: numbers of the model that have changed since the readings that it was fitted to.
     """
 
     page_maker: ClassVar[str] = "rtec.report.history:added_page"
@@ -173,6 +174,7 @@ class Added(Result):
     undetermined: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     own_kept: int = 0
+    changed: tuple[ChangedNumber, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The error before and after."""
@@ -192,6 +194,7 @@ class Added(Result):
             "held_out_with_smoothed_temperatures": self.smoothed,
             "passed_over": [r.facts() for r in self.passed_over],
             "undetermined": list(self.undetermined),
+            "changed": [vars(c) for c in self.changed],
             "doubts": list(self.doubts),
             "notes": list(self.notes),
             "history": [dict(h) for h in self.model.history],
@@ -301,6 +304,7 @@ def _add(
         undetermined=cancelling,
         better=better,
         doubts=tuple(d.words for d in wrong),
+        changed=changed_between(model, after) if earlier is model else (),
     )
 
 
