@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import tomli_w
 from pydantic import BeforeValidator, Field
 
@@ -18,6 +19,8 @@ from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, Degrees
 from rtec.tomlfile import Strict, read_toml, validated
 
 FORMAT = 1
+ROUNDED = 0.015
+"""Least eigenvalue of a correlation matrix, below zero: its numbers are rounded."""
 
 
 class _Number(Strict):
@@ -196,7 +199,10 @@ def _read_correlation(table: _CorrelationTable | None, source: str) -> ErrorCorr
             f"{source}: [correlation] rows: need one for each of the {len(table.numbers)} numbers, the first empty and "
             "each longer by one"
         )
-    return ErrorCorrelation(tuple(table.numbers), tuple(table.rows))
+    found = ErrorCorrelation(tuple(table.numbers), tuple(table.rows))
+    if table.numbers and np.linalg.eigvalsh(found.matrix(found.numbers))[0] < -ROUNDED:
+        raise ModelError(f"{source}: [correlation] rows: these correlations contradict each other; remove this table")
+    return found
 
 
 def _check_correlation(model: Model, source: str) -> None:

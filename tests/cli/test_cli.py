@@ -214,3 +214,9 @@ def test_a_file_is_no_text_of_a_mark(tmp_path: Path, capsys: pytest.CaptureFixtu
     path.write_text("")
     assert status(["ctl", "mark", str(path)]) == 2
     assert "write the text before it" in " ".join(capsys.readouterr().err.split())
+
+
+def test_the_package_runs_as_a_module() -> None:
+    """Oracle: the program itself."""
+    done = subprocess.run([sys.executable, "-m", "rtec", "--version"], capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"rtec \S+", done.stdout.strip())

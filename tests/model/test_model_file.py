@@ -388,6 +388,14 @@ def test_a_broken_correlation_is_refused(rows: list[str], said: str) -> None:
         model_from(table, MACHINE, "m.toml")
 
 
+def test_correlations_that_contradict_each_other_are_refused() -> None:
+    """Two numbers that go with a third go with each other. Oracle: the determinant is negative."""
+    numbers = [*TOGETHER.numbers, "2 ambient_drift(EZ0spindle, T_air) tau"]
+    table = good() | {"correlation": {"numbers": numbers, "rows": ["", "0.9", "0.9 -0.9"]}}
+    with pytest.raises(ModelError, match="contradict each other"):
+        model_from(table, MACHINE, "m.toml")
+
+
 def test_a_correlation_of_effects_that_were_removed_by_hand_is_refused() -> None:
     """Their places are no longer the ones that it names."""
     table = deepcopy(tables(replace(model(), correlation=TOGETHER)))
