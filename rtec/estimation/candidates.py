@@ -105,8 +105,9 @@ def library(
 def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> bool:
     """Whether an effect is an angle that grows linearly, and shifts read it at one lever arm only.
 
-    These readings cannot distinguish it from a scale, a squareness or a straightness, or from the expansion of a screw;
-    each of them is a candidate too.
+    These readings cannot distinguish it from a scale, a squareness or a straightness; each of them is a candidate too.
+    An angle by heat is none for shifts at several arms either: it would stand for a screw that grows, whose temperature
+    nobody recorded.
     """
     grows = 1 in getattr(effect, "degrees", ()) or isinstance(effect, BedBending)
     if not grows or component_unit(seen.name) != "urad":
@@ -114,7 +115,8 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
     arms = readings.arms(seen.name)
     mine = [arms[s.part] for s in readings.series if arms[s.part].any()]
     shifts = all(s.unit == "um" for s in readings.series if arms[s.part].any())
-    return shifts and float(np.ptp(np.concatenate(mine))) < ONE_ARM * float(np.abs(np.concatenate(mine)).max())
+    one_arm = float(np.ptp(np.concatenate(mine))) < ONE_ARM * float(np.abs(np.concatenate(mine)).max())
+    return shifts and (isinstance(effect, BedBending) or one_arm)
 
 
 def visible(readings: Readings, there: Sequence[FittedEffect] | None = ()) -> list[VisibleComponent]:
