@@ -106,7 +106,7 @@ UNEXPLAINED = 2.0
 """A residual of this many times noise and slow drift together is neither; none of 84 quiet records had 1.7 times."""
 FEW_RUNS = 4
 HELD = 2
-"""Fewest runs that a model met before a sensor is said to be lost."""
+"""A sensor may be called lost only where the model met at least this many runs before."""
 ALONE = "If the machine changed between them, diagnose the newer file alone."
 
 

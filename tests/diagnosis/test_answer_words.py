@@ -1,4 +1,4 @@
-"""The answer in words for the shop floor: order, periods, and what is said once. Oracles: written by hand."""
+"""What `diagnose` says: the order of effects, the period of a wave, each thing once. Oracles: written by hand."""
 
 import math
 from dataclasses import replace
