@@ -19,6 +19,7 @@ from rtec.estimation.gram.stream import Term
 from rtec.estimation.judge import Judgement
 from rtec.estimation.kinds import neighbour_noise
 from rtec.estimation.outliers import outlier_words
+from rtec.estimation.unmeasured import unmeasured_motions
 from rtec.estimation.visible import axis_of, moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
@@ -127,6 +128,7 @@ def all_warnings(
         *_sign_changes(fit),
         *setup_warnings(fit.sources),
         *_expands_much(fit),
+        *_unmeasured(judged),
         *_not_visited(fit),
         *cover_warnings(fit.sources),
         *_on_bound(fit),
@@ -325,6 +327,12 @@ def _expands_much(fit: Estimate) -> list[Warn]:
                 Warn("expands_much", text, "fit with scale and squareness beside it, on days of other temperatures")
             )
     return out
+
+
+def _unmeasured(judged: Judgement) -> list[Warn]:
+    """Motions that angles bring along where no reading shows them."""
+    there = unmeasured_motions(judged.model.effects, judged.readings)
+    return [Warn("unmeasured_motion", m.words, m.advice) for m in there]
 
 
 def _not_visited(fit: Estimate) -> list[Warn]:

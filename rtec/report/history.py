@@ -81,6 +81,7 @@ def added_page(a: Added, figures: bool = True) -> Page:
     )
     if a.better and a.after.held_out > a.before.held_out:
         lead = f"With {what} the residual on held-out runs {fell(a.before, a.after, unit)}."
+    lead = " ".join([lead, *(f"{u.words}: {u.advice}." for u in a.unmeasured)])
     return Page(
         "Before and after",
         lead,
@@ -153,6 +154,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         lead += (
             f" {' and '.join(shapes)} {are} the shape of what no effect of the catalogue describes." if shapes else ""
         )
+    lead = " ".join([lead, *(f"{u.words}: {u.advice}." for s in r.steps for u in s.unmeasured)])
     if r.events:
         lead = f"{lead} {words(r.events)}"
     steps = [

@@ -44,11 +44,18 @@ def laser(
     truth: Sequence[str], seed: int, along: str = "X", setup: Mapping[str, Any] | None = None, **more: Any
 ) -> Measurement:
     """What a laser along an axis reads of a machine with true effects; `more` replaces tables of the settings."""
+    return read_by("laser_linear", truth, seed, along, setup, **more)
+
+
+def read_by(
+    name: str, truth: Sequence[str], seed: int, along: str = "X", setup: Mapping[str, Any] | None = None, **more: Any
+) -> Measurement:
+    """What an instrument along an axis reads of a machine with true effects."""
     machine = small_machine()
-    instrument = make_instrument("laser_linear", dict(setup or {}), along, None, machine, "test")
+    instrument = make_instrument(name, dict(setup or {}), along, None, machine, "test")
     model = Model(machine, effects(*truth), name="truth")
     settings = Settings.model_validate({**QUICK, **more})
-    return simulate(model, instrument, settings, seed, f"laser-{along.lower()}-{seed}")
+    return simulate(model, instrument, settings, seed, f"{name.partition('_')[0]}-{along.lower()}-{seed}")
 
 
 def write_machine(folder: Path) -> Path:

@@ -35,6 +35,7 @@ from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
+from rtec.estimation.unmeasured import UnmeasuredMotion, unmeasured_motions
 from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -156,6 +157,7 @@ class Added(Result):
         doubts: about the record, in words, where they rule out fitting any number of the model to it.
         own_kept: number of effects of the model, from the first on, that have kept their numbers.
         changed: numbers of the model that have changed since the readings that it was fitted to.
+        unmeasured: motions of the tool that the added effects bring along and that no reading shows.
     """
 
     page_maker: ClassVar[str] = "rtec.report.history:added_page"
@@ -175,6 +177,7 @@ class Added(Result):
     doubts: tuple[str, ...] = ()
     own_kept: int = 0
     changed: tuple[ChangedNumber, ...] = ()
+    unmeasured: tuple[UnmeasuredMotion, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The error before and after."""
@@ -195,6 +198,7 @@ class Added(Result):
             "passed_over": [r.facts() for r in self.passed_over],
             "undetermined": list(self.undetermined),
             "changed": [vars(c) for c in self.changed],
+            "unmeasured": [vars(u) for u in self.unmeasured],
             "doubts": list(self.doubts),
             "notes": list(self.notes),
             "history": [dict(h) for h in self.model.history],
@@ -305,6 +309,7 @@ def _add(
         better=better,
         doubts=tuple(d.words for d in wrong),
         changed=changed_between(model, after) if earlier is model else (),
+        unmeasured=unmeasured_motions(after.effects, readings, len(model.effects)),
     )
 
 
