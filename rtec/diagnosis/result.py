@@ -43,7 +43,7 @@ class Alike:
         label: short name with what it depends on, such as its sensor.
         gain: expected log Bayes factor of that experiment; None where it was not computed.
         apart: it explains another part of the readings: no rival, but maybe missing as well.
-        fitted: it, its coefficients zero; None where it is no candidate of the catalogue.
+        fitted: it, its coefficients zero where no test was looked for; None where it is no candidate of the catalogue.
     """
 
     effect: str
@@ -311,7 +311,15 @@ class Diagnosis(Result):
 
     @property
     def out_of_date(self) -> bool:
-        """Whether a refit of the model's own numbers would clearly lower the residual."""
+        """Whether a refit of the model's own numbers would clearly lower the residual, also on held-out runs.
+
+        A refit to a few runs follows their drift.
+        """
+        return self.refit_fits and (self.judged is None or self.judged.held_out < self.rms_residual)
+
+    @property
+    def refit_fits(self) -> bool:
+        """Whether a refit of the model's own numbers would clearly lower the residual of these readings."""
         return self.refit < REFIT * self.rms_residual and self.rms_residual > self.noise_floor / REFIT
 
     @property

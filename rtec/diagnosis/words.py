@@ -170,19 +170,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     if d.together:
         return _together(d)
     if d.verdict == "missing_effect":
-        f = d.findings[0]
-        if f.partner is not None:
-            both = zip([f, f.partner], labels([f, f.partner]), strict=True)
-            one, other = (with_period(name, t.theta) for t, name in both)
-            return (
-                f"{one} and {other} are missing together, neither lowers the error on held-out runs alone: adding "
-                f"both removes {percent(f.heldout_drop)} of the held-out mean square error{other_parts(f)}"
-            )
-        return (
-            f"{with_period(f.label, f.theta)} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
-            f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
-            f"{_same_jump(f)}{other_parts(f)}"
-        )
+        return _missing(d, unit)
     if d.verdict == "ambiguous":
         return _one_of(d)
     if d.runs is not None:
@@ -230,6 +218,23 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
 
 
+def _missing(d: Diagnosis, unit: str) -> str:
+    """One effect, or two that show only together, and what adding them removes."""
+    f = d.findings[0]
+    if f.partner is not None:
+        both = zip([f, f.partner], labels([f, f.partner]), strict=True)
+        one, other = (with_period(name, t.theta) for t, name in both)
+        return (
+            f"{one} and {other} are missing together, neither lowers the error on held-out runs alone: adding "
+            f"both removes {percent(f.heldout_drop)} of the held-out mean square error{other_parts(f)}"
+        )
+    return (
+        f"{with_period(f.label, f.theta)} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
+        f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
+        f"{_same_jump(f)}{_form_and_more(d)}{other_parts(f)}"
+    )
+
+
 def with_period(label: str, theta: Mapping[str, float]) -> str:
     """The name of an effect, and the period of a wave along an axis where the name has none."""
     key = next((n for n in ("period", "pitch") if n in theta), None)
@@ -263,14 +268,14 @@ def _same_jump(f: Finding) -> str:
 
 
 FEW = 2
-"""Number of effects up to which the sentence gives the share and the rivals of each."""
+"""Number of effects up to which the sentence gives the share of each."""
 
 
 def _together(d: Diagnosis) -> str:
     """Effects that are missing together, what each removes, and the residual without a name."""
     falls = [after - before for before, after in pairwise([0.0, *(m.heldout_drop for m in d.together)])]
     # One that is larger without the next has no share of its own; of many the table has the shares.
-    apart, few = min(falls) >= 0.0 and len(falls) <= FEW, len(falls) <= FEW
+    apart = min(falls) >= 0.0 and len(falls) <= FEW
     parts = []
     labelled = zip(d.together, labels([m.fitted for m in d.together]), strict=True)
     names = [with_period(name, m.fitted.theta) for m, name in labelled]
@@ -278,7 +283,7 @@ def _together(d: Diagnosis) -> str:
     for m, name, fall in sorted(listed, key=lambda t: -t[2]) if min(falls) >= 0.0 else listed:
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
         others = rivals_of(m, d)
-        either = [f"or {' or '.join(others[:2])} in its place"] if others and few else []
+        either = [f"or {' or '.join(others[:2])} in its place"] if others else []
         parts.append(" ".join([name, *([f"({', '.join(removes + either)})"] if removes + either else [])]))
     if not apart and len(parts) > 1:
         parts[-1] += (
@@ -334,27 +339,59 @@ def _of_the_residual(size: float, d: Diagnosis, unit: str) -> str:
     return f"{part} {unit}; the residual is {whole} {unit} because the model's numbers compensate a part of it"
 
 
+def indistinguishable(d: Diagnosis) -> list[str]:
+    """Names of the effects of which one is missing, as far as the readings tell; one name where it is certain.
+
+    Forms of one effect have one name. What explains another part of the readings is no rival. Of several effects that
+    are missing together the first for which something else may stand is given with it.
+    """
+    if d.together:
+        pairs = zip(d.together, labels([m.fitted for m in d.together]), strict=True)
+        either = ([name, *rivals_of(m, d)] for m, name in pairs)
+        return next((names for names in either if len(names) > 1), [d.together[0].label])
+    first = d.findings[0]
+    rivals = [a for a in first.confused_with if not a.apart]
+    others = [first.label if a.label.startswith(f"{first.label}, ") else _label(a) for a in rivals]
+    return list(dict.fromkeys([*(f.label for f in same_part(d)), *others]))
+
+
+def _apart(d: Diagnosis) -> set[tuple[str, str]]:
+    """Effects that explain another part of the readings than the first."""
+    return {(a.effect, a.component) for a in d.findings[0].confused_with if a.apart}
+
+
+def same_part(d: Diagnosis) -> list[Finding]:
+    """The first, and what explains the same part of the readings as well."""
+    apart = _apart(d)
+    return [d.findings[0], *(f for f in d.group if f.rank > 1 and (f.effect.effect, f.effect.component) not in apart)]
+
+
+def _may_be_missing_too(d: Diagnosis) -> str:
+    """What may be missing besides, as the end of a sentence; empty for nothing."""
+    besides = _beside(d, _apart(d))
+    return f"; {besides}, which explains another part of the readings, may be missing too" if besides else ""
+
+
 def _one_of(d: Diagnosis) -> str:
     """Rivals with the same effect on the readings, and effects that may be missing besides."""
     first = d.findings[0]
-    apart = {(a.effect, a.component) for a in first.confused_with if a.apart}
-    beside = _beside(d, apart)
-    group = [first, *(f for f in d.group if f.rank > 1 and (f.effect.effect, f.effect.component) not in apart)]
     rivals = [a for a in first.confused_with if not a.apart]
-    others = [first.label if a.label.startswith(f"{first.label}, ") else _label(a) for a in rivals]
-    names = list(dict.fromkeys([*(f.label for f in group), *others]))
-    more = f"; {beside}, which explains another part of the readings, may be missing too" if beside else ""
-    if len(names) == 1:
-        forms = "; its form cannot be determined from these data" if len(group) > 1 else ""
-        name = with_period(first.label, first.theta)
-        return f"{name} is missing{forms}{more}{other_parts(first)}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
     way = f". To separate them: {test}" if test else ""
     way = f". {sentence(test)}" if test.startswith(NONE_SETTLES) else way
     return (
-        f"one of {', '.join(names[:4])} is missing, or more than one; these data cannot distinguish them "
-        f"(confounded){more}{other_parts(first)}{way}"
+        f"one of {', '.join(indistinguishable(d)[:4])} is missing, or more than one; these data cannot distinguish "
+        f"them (confounded){_may_be_missing_too(d)}{other_parts(first)}{way}"
     )
+
+
+def _form_and_more(d: Diagnosis) -> str:
+    """That the form of an effect is open, and what may be missing besides, as the end of its sentence."""
+    first, besides = d.findings[0], _may_be_missing_too(d)
+    variant = any(a.label.startswith(f"{first.label}, ") for a in first.confused_with)
+    forms = "; its form cannot be determined from these data" if variant or len(same_part(d)) > 1 else ""
+    then = ": add the first, then diagnose again" if besides else ""
+    return "" if first.partner is not None else f"{forms}{besides}{then}"
 
 
 def _beside(d: Diagnosis, apart: Collection[tuple[str, str]]) -> str:

@@ -11,9 +11,10 @@ import numpy as np
 
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
-from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, rivals_of, sentence
+from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, rivals_of, same_part, sentence
 from rtec.effects import Effect
 from rtec.effects.effect_list import as_options, as_text
+from rtec.model import FittedEffect
 from rtec.report.evidence import Amplitudes, Evidence, evidence
 from rtec.report.figures import GREY, OFF, ON, WHOLE, Zoom, as_png, canvas, room_above, stacked, zoomed
 from rtec.report.page import Figure, Page, Section, Table, shell_command
@@ -304,7 +305,7 @@ def _next(d: Diagnosis) -> list[str]:
     if d.mostly_changed:
         return [shell_command("rtec", "improve", *d.files, *last)]
     sure = d.verdict == "missing_effect"
-    if d.verdict == "ambiguous" and d.findings[0].confused_with and len(d.together) < 2:
+    if d.verdict == "ambiguous" and len(d.together) < 2:
         rivals = _rivals(d) if d.machine_file is not None else []
         if rivals:
             noise = [] if d.unit == "noise" else ["--noise", f"{float(f'{max(d.noise_floor, LEAST_NOISE):.2g}'):g}"]
@@ -332,20 +333,23 @@ def _rivals(d: Diagnosis) -> list[str]:
 
     A rival that is no candidate of the catalogue is not among them: no text describes it.
     """
-    first = d.findings[0]
-    out = {_cause(first.effect): as_text(first.effect, _numbers(first))}
-    for a in first.confused_with:
-        if a.apart or a.fitted is None:
-            continue
-        its = next((f for f in d.findings if f.effect == a.fitted.effect), None)
-        numbers = dict(a.fitted.theta) if its is None else _numbers(its)
-        out.setdefault(_cause(a.fitted.effect), as_text(a.fitted.effect, numbers))
+    out: dict[tuple[str, ...], str] = {}
+    for f in same_part(d):
+        out.setdefault(_cause(f.effect), as_text(f.effect, _numbers(f)))
+    for a in d.findings[0].confused_with:
+        if not a.apart and a.fitted is not None:
+            out.setdefault(_cause(a.fitted.effect), as_text(a.fitted.effect, _sizes(a.fitted)))
     return list(out.values()) if len({cause[:2] for cause in out}) > 1 else []
 
 
 def _cause(effect: Effect) -> tuple[str, ...]:
     """What separates two causes: the name, the component and the sensors; two forms of an effect are one cause."""
     return effect.effect, effect.component, *(str(getattr(effect, k, None)) for k in ("sensor", "front", "back"))
+
+
+def _sizes(f: FittedEffect) -> dict[str, float]:
+    """Coefficients other than zero, to three digits, and non-linear parameters of an effect."""
+    return {k: float(f"{v:.3g}") for k, v in f.values.items() if v} | dict(f.theta)
 
 
 def _numbers(f: Finding) -> dict[str, float]:

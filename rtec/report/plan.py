@@ -106,7 +106,11 @@ def _lead_of_rivals(a: Answer) -> str:
     """Whether the tests separate the rivals in question, and the first test to add."""
     alike = [p for p in a.rivals if not p.clear]
     if not alike:
-        return f"These tests separate the rivals: {_odds(a.rivals)} or better for the true one of each two."
+        return (
+            f"These tests separate the rivals at white noise: {_odds(a.rivals)} or better for the true one of each "
+            "two. Slow drift is not counted. Where `rtec diagnose` says that such readings cannot distinguish them, "
+            "take a test of the table in addition."
+        )
     worst = min(alike, key=lambda p: p.gain)
     verdict = f"These tests do not separate {worst.one} from {worst.other}: expected odds {_odds([worst])}."
     if len(a.rivals) > 1:

@@ -57,7 +57,10 @@ def test_what_is_named_beside_an_effect_is_no_rival_of_it() -> None:
 def test_a_wave_is_named_with_its_period() -> None:
     wave = "cyclic_pole(EXX, X) with a period of 39.87 mm"
     assert answer("missing_effect", finding(WAVE)).sentence.startswith(f"{wave} is missing: it explains ")
-    assert answer("ambiguous", finding(WAVE)).sentence.startswith(f"{wave} is missing: add it")
+    forms = (finding(WAVE), replace(finding(WAVE, 2), group=True))
+    said = answer("missing_effect", *forms).sentence
+    assert said.startswith(f"{wave} is missing: it explains ")
+    assert "; its form cannot be determined from these data" in said
     together = (Member(WAVE, 0.5), Member(GROWTH, 0.8))
     assert f"{wave} (50 % of the " in answer("missing_effect", finding(WAVE), together=together).sentence
     pair = finding(GROWTH, partner=finding(WAVE, 2))

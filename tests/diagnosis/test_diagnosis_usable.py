@@ -31,6 +31,7 @@ from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_mac
 
 SCALE = "scale,component=EXX,axis=X,k=12"
 OLD, NEW = "backlash,component=EXX,axis=X,B=5", "backlash,component=EXX,axis=X,B=9"
+HEAT = (("T_bed", 11), ("T_air", 0.5))
 WAVE = "cyclic_pole,component=EXX,axis=X,s=2,c=-1,period=5"
 
 
@@ -50,6 +51,25 @@ def test_improve_fits_numbers_that_are_out_of_date_anew() -> None:
     assert not result.steps
     assert kept_models == [result.refit.model]
     assert steps_of(result.model)[0]["name"] == "refit"
+
+
+def test_a_drift_of_three_runs_makes_no_number_out_of_date() -> None:
+    """Oracle: the numbers are those that were made true; a refit follows the slopes and misses the run held out."""
+    own = [SCALE, *(f"axis_expansion,component=EXX,axis=X,sensor={t},k={k},fixed_mm=0" for t, k in HEAT)]
+    whole, rng = laser(own, 26, targets={"step_mm": 20.0}), np.random.default_rng(26)
+    rng.standard_normal(40)
+    sloped = rng.standard_normal(100)[whole.run] * (whole.channels["x"] - 100.0) / 100.0
+    few = whole.run <= np.unique(whole.run)[2]
+    readings = {"reading_um": (whole.readings["reading_um"] + sloped)[few]}
+    channels = {k: v[few] for k, v in whole.channels.items()}
+    m = dataclasses.replace(whole, run=whole.run[few], time_s=whole.time_s[few], channels=channels, readings=readings)
+    found = diagnose(model_of(*own), [m], draws=50)
+    assert found.verdict == "nothing_missing"
+    assert found.judged is not None
+    assert found.judged.refitted < 0.8 * found.rms_residual < found.judged.held_out
+    assert not found.out_of_date
+    assert "out of date" not in found.sentence
+    assert improve(model_of(*own), [m]).refit is None
 
 
 def test_improve_leaves_good_numbers_alone() -> None:

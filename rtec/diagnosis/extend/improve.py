@@ -203,7 +203,7 @@ def _improved(
         found = growth.diagnosed(model)
     if found.verdict == "undecided":  # refitted numbers would absorb an unknown cause
         return Improved(model, (), (found,), "undecided")
-    if found.verdict == "nothing_missing" and not found.out_of_date:  # nor are they refitted to a drift
+    if found.verdict == "nothing_missing" and not found.refit_fits:  # nor are they refitted to a drift
         return Improved(model, (), (found,), "nothing_missing")
     holding = growth.holding(model, found)
     if holding is not None:
@@ -348,7 +348,8 @@ class _Growth:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
             if self.takes_out(found, model, picked):
                 continue
-            if of_record(picked.effect, model.machine) and (ask or found.verdict != "ambiguous"):
+            alone = all(of_record(f.effect, model.machine) for f in found.group)
+            if of_record(picked.effect, model.machine) and (ask or alone):
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
             added = self._first_gain(model, found, [picked] if ask else _choices(found, picked))
             if added is None:
@@ -639,8 +640,8 @@ def _taken_alone(found: Diagnosis, machine: Machine) -> Finding | None:
         one = len(f.effect.coefficients(machine)) == 1 and f.partner is None
         return one and set(f.effect.channels(machine)) <= ways | places
 
-    if found.verdict == "ambiguous":
-        return next((f for f in found.findings if f.group and plain(f)), None)
+    if len(found.group) > 1 or first.confused_with:
+        return next((f for f in found.group if plain(f)), None)
     read = set(first.effect.channels(machine))
     return None if read & ways and read - ways else first
 

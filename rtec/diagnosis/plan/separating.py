@@ -272,7 +272,7 @@ def with_gains(
 ) -> tuple[Alike, ...]:
     """Name for each confounded effect the quickest separating test, with its expected additional log Bayes factor.
 
-    Where none separates it (20 to 1) within a day, none is named.
+    Where none separates it (20 to 1) within a day, none is named. Each gets the numbers that it was fitted with.
 
     Args:
         alikes: confounded effects, fitted (`separating.fitted_to`).
@@ -289,12 +289,13 @@ def with_gains(
         model, [winner, *(f for _, f in alikes)], readings.measurements, extras, noise=noise, whitener=whitener
     )
     out = []
-    for place, (alike, _) in enumerate(alikes):
+    for place, (alike, fitted) in enumerate(alikes):
         # Pairs are in the order of the combinations: those of the winner come first.
         # The information of the existing readings is in both: only what a test adds can separate them.
         best = min(found, key=lambda s: _worth(s.test, _added(s.pairs[place])))
         gain = _added(best.pairs[place])
-        out.append(replace(alike, gain=gain, separating_test=_words(alike.separating_test, best.test, gain)))
+        test, numbers = _words(alike.separating_test, best.test, gain), None if alike.fitted is None else fitted
+        out.append(replace(alike, gain=gain, separating_test=test, fitted=numbers))
     return tuple(out)
 
 

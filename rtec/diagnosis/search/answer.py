@@ -422,13 +422,11 @@ class _Answer:
     ) -> Diagnosis:
         readings, prepared, judged = self.readings, self.s.prepared, self.s.judged
         accepted = bool(findings) and findings[0].accepted
-        group = [f for f in findings if f.group]
         doubts = self._doubts(findings)
         if accepted and any(d.kind == "no_temperature" and d.fatal for d in doubts):
             verdict = "undecided"  # the effect may be part of a larger slow change that is unexplained
         elif accepted:
-            rivals = len(group) > 1 or findings[0].confused_with or any(t.rivals for t in self.s.chain)
-            verdict = "ambiguous" if rivals else "missing_effect"
+            verdict = "missing_effect"
         elif unknown is not None:
             verdict = "unknown_effect"
         elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in doubts):
@@ -474,6 +472,8 @@ class _Answer:
             doubts=doubts,
             runs=self.s.undecided,
         )
+        if verdict == "missing_effect" and len(words.indistinguishable(draft)) > 1:
+            draft = replace(draft, verdict="ambiguous")
         fatal = [d.words for d in draft.doubts if d.fatal]
         foreign = [d.words for d in draft.doubts if d.kind == "other_machine"]
         return words.with_sentence(draft, smallest, fatal, foreign)
