@@ -26,6 +26,8 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series, looked_at
+from rtec.estimation.two_levels import STEP as STATES
+from rtec.estimation.two_levels import two_levels
 from rtec.estimation.wrong_scale import odd_scales, unit_of
 from rtec.machine import Axis
 from rtec.metrology.measurement import Measurement
@@ -39,7 +41,7 @@ Kind = Literal[
     "wrong_scale", "wrong_gain", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction",
     "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
-    "unexplained",
+    "unexplained", "two_levels",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -55,6 +57,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
         "corrected",
         "instrument_warm_up",
         "moved_zero",
+        "two_levels",
         "between_files",
         "dead_sensor",
     }
@@ -155,8 +158,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
         found.append(edited.doubt(judged.residual, ERROR_UNITS[judged.unit]))
-    step = f"{STEP[0].upper()}{STEP[1:]}."
-    found += [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
+    step, levels = f"{STEP[0].upper()}{STEP[1:]}.", [] if found else _levels(judged)
+    found += levels or [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
     step = f"{NEXT[0].upper()}{NEXT[1:]}."
     found += [Doubt("end_targets", f"{ends.message}.", step, fatal=True) for ends in judged.given.ends]
     if not found:
@@ -164,6 +167,15 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += [Doubt("one_pass", p.message, p.next_step, fatal=p.one_way) for p in one_pass(readings)]
     found += _few_runs(readings)
     return tuple(found)
+
+
+def _levels(judged: Judgement) -> list[Doubt]:
+    """Series whose runs stand at one of two levels; no effect is named where that is most of the residual."""
+    left, out = floor.cleaned(judged.readings, judged.left), []
+    for levels in two_levels(judged.readings, left):
+        rest = judged.pooled(floor.cleaned(judged.readings, left - levels.readings))
+        out.append(Doubt("two_levels", levels.message, STATES, fatal=rest**2 < BETTER * judged.residual**2))
+    return out
 
 
 def _disagree(judged: Judgement) -> list[Doubt]:
