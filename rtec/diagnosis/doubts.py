@@ -170,7 +170,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
 
 
 def _levels(judged: Judgement) -> list[Doubt]:
-    """Series whose runs stand at one of two levels; no effect is named where that is most of the residual."""
+    """Series whose runs are at one of two levels; no effect is named where that is most of the residual."""
     left, out = floor.cleaned(judged.readings, judged.left), []
     for levels in two_levels(judged.readings, left):
         rest = judged.pooled(floor.cleaned(judged.readings, left - levels.readings))

@@ -1,4 +1,4 @@
-"""Runs that stand at one of two levels, to and fro, for no recorded reason.
+"""Runs that are at one of two levels, to and fro, for no recorded reason.
 
 Something with two states acts on whole runs: coolant or hydraulics on and off, a clamp, the seat of a probe. A machine
 whose states nobody noted shows readings that no effect of a recorded channel describes, and a temperature that happens
@@ -41,11 +41,11 @@ STEP = (
 
 @dataclass(frozen=True)
 class TwoLevels:
-    """A series whose runs stand at one of two levels.
+    """A series whose runs are at one of two levels.
 
     Attributes:
         series: number of the series.
-        high: which runs stand at the higher level, (runs,).
+        high: which runs are at the higher level, (runs,).
         gap: between the levels, in the unit of the readings.
         readings: what the levels make of each reading, zero in other series, (m,).
         message: in words.
@@ -59,7 +59,7 @@ class TwoLevels:
 
 
 def two_levels(readings: Readings, left: Floats) -> list[TwoLevels]:
-    """Series whose runs stand at one of two levels while no recorded channel does.
+    """Series whose runs are at one of two levels while no recorded channel does.
 
     Series in which each run has a zero of its own are excluded.
 
@@ -100,9 +100,9 @@ def _of(readings: Readings, number: int, left: Floats) -> TwoLevels | None:
     m, first = readings.measurements[s.source], s.row[np.searchsorted(s.run, np.arange(runs))]
     named = _listed(m.run[first[high]])
     message = (
-        f"{m.name} {s.column}: the runs stand at two levels, {significant(gap, 2)} {ERROR_UNITS[s.unit]} apart, and "
-        f"agree within {significant(float(within), 1)} at each; {named} stand higher. Nothing that was recorded tells "
-        "them apart."
+        f"{m.name} {s.column}: the runs are at two levels, {significant(gap, 2)} {ERROR_UNITS[s.unit]} apart, and "
+        f"agree within {significant(float(within), 1)} at each; {named} are higher. Nothing that was recorded "
+        "separates them."
     )
     return TwoLevels(number, high, gap, out, message)
 
@@ -119,7 +119,7 @@ def _apart_from_others(readings: Readings, s: Series, left: Floats) -> Floats:
 
 
 def _split(heights: Floats) -> tuple[NDArray[np.bool_], float]:
-    """Which runs stand higher, for the division by height that has the largest variance ratio; and that ratio."""
+    """Which runs are higher, for the division by height that has the largest variance ratio; and that ratio."""
     order, runs = np.argsort(heights), len(heights)
     high, most = np.zeros(runs, dtype=np.bool_), 0.0
     for low in range(EACH, runs - EACH + 1):

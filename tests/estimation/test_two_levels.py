@@ -42,7 +42,7 @@ def test_what_nobody_noted_is_no_effect_of_the_machine(by: float) -> None:
     assert raised_runs == (set(HIGH) if by > 0.0 else set(range(1, 19)) - set(HIGH))
     d = diagnose(MODEL, [m], draws=50)
     assert d.verdict == "undecided"
-    assert d.sentence.startswith("laser-x-3 reading_um: the runs stand at two levels")
+    assert d.sentence.startswith("laser-x-3 reading_um: the runs are at two levels")
     assert not d.findings or not d.findings[0].accepted
     assert [b.kind for b in compare(MODEL, [m]).doubts] == ["two_levels"]
     assert improve(MODEL, [m]).model.effects == MODEL.effects
@@ -52,7 +52,7 @@ def test_the_runs_are_named_by_their_numbers_in_the_file() -> None:
     m = raised(laser(TRUTH, 3), (2, 3, 4, 8, 10), 5.0)
     (levels,) = found(m)
     first = int(m.run[0]) - 1
-    assert f"runs {first + 2} to {first + 4}, {first + 8}, {first + 10} stand higher" in levels.message
+    assert f"runs {first + 2} to {first + 4}, {first + 8}, {first + 10} are higher" in levels.message
 
 
 def test_a_recorded_load_is_a_reason() -> None:
