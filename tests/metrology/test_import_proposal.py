@@ -21,6 +21,7 @@ from rtec.machine import load_machine
 from rtec.metrology.files.load import load_measurement
 from rtec.metrology.importing import Imported, ImportProposal, import_measurement, import_table, load_map, propose
 from rtec.metrology.importing.rows import condition
+from rtec.metrology.importing.words import sign_said
 from tests.support.foreign_tables import ANSWERS, BEGAN, WRITTEN, Row, comma, date_and_time, rows, semicolons
 from tests.support.real_data import real_file
 
@@ -315,6 +316,61 @@ def test_questions_and_answers(tmp_path: Path) -> None:
     column = full.import_map().column
     assert column["reading_um"].sign == -1
     assert "T_x_nut_degc" not in column
+
+
+def nuts_in_the_names(data: list[Row]) -> str:
+    """A German log: nuts named by their axis, the sign in a remark above the names, runs as `zyk`."""
+    out = ["! export v2.1", "! error = nominal - actual", "t(s)\tzyk\tPos_X\tFehler(mm)\tMutterX\tRaum"]
+    for i, (t, x, e, nut) in enumerate(data):
+        out.append(f"{t}\t{1 + i // 11}\t{x}\t{-1e-3 * e:.6f}\t{nut}\t20.5")
+    return "\n".join(out)
+
+
+def in_fahrenheit(data: list[Row]) -> str:
+    """Inches, and temperatures whose names end in F."""
+    out = ["Time s,Run,Target X (in),Error (in),X nut F,Air F"]
+    for i, (t, x, e, nut) in enumerate(data):
+        out.append(f"{t},{1 + i // 11},{x / 25.4:.9f},{e / 25400:.10f},{32 + 1.8 * nut},68.9")
+    return "\n".join(out)
+
+
+@pytest.mark.parametrize(("written", "answers"), [(nuts_in_the_names, {}), (in_fahrenheit, {"sign": "+1"})])
+def test_a_nut_named_by_its_axis_is_no_position(
+    written: Callable[[list[Row]], str], answers: dict[str, str], tmp_path: Path
+) -> None:
+    """Oracle: the numbers that were written; a position of 20.5 mm that is a temperature was exit 0."""
+    p = proposed(tmp_path, written(rows()), {"instrument": "laser_linear", **answers})
+    assert p.open == ()
+    assert "sign" not in [question.key for question, _ in p.assumed]
+    columns = import_table(p.path, p.import_map()).columns
+    t, x, e, nut = (np.array(v) for v in zip(*rows(), strict=True))
+    np.testing.assert_array_equal(np.asarray(columns["run"]), [1 + i // 11 for i in range(66)])
+    for name, values in (("time_s", t), ("x_mm", x), ("reading_um", e), ("T_x_nut_degc", nut)):
+        np.testing.assert_allclose(np.asarray(columns[name], dtype=np.float64), values, atol=2e-5)
+    assert {"T_air_degc", "z_mm"} & set(columns) == {"T_air_degc"}
+
+
+def test_hot_temperatures_without_a_unit_are_asked_about(tmp_path: Path) -> None:
+    """Oracle: 68 may be a room in °F; neither unit is assumed."""
+    table = "t s;Pos X mm;dev um;T_x_nut\n" + "".join(f"{i};{i};{i % 7};{68 + i % 3}\n" for i in range(40))
+    p = proposed(tmp_path, table, {"instrument": "laser_linear"})
+    assert [(q.key, q.default) for q in p.open] == [("unit of T_x_nut", None)]
+    column = p.answered({"unit of T_x_nut": "°F"}).import_map().column["T_x_nut_degc"]
+    assert column.unit == "degf"
+
+
+@pytest.mark.parametrize(
+    ("remark", "sign"),
+    [
+        ("error = nominal - actual", -1),
+        ("Abweichung: Ist - Soll", 1),
+        ("deviation = actual position minus target", 1),
+        ("error of the run: 3 um", None),
+        ("time = start - end", None),
+    ],
+)
+def test_the_sign_may_be_in_a_remark(remark: str, sign: int | None) -> None:
+    assert sign_said([(1, "made by a - b"), (4, remark)]) == (None if sign is None else (sign, 4))
 
 
 def test_readings_of_drift_probes_are_named_by_the_set_up(tmp_path: Path) -> None:

@@ -275,7 +275,8 @@ def propose(
     }
     asker.keys += given
     preset = {**preset, "measurement": given | head}
-    roles = ColumnRoles(table, machine, preset, asker.ask, is_log=events is not None or read.name == "json_lines")
+    is_log = events is not None or read.name == "json_lines"
+    roles = ColumnRoles(table, machine, preset, asker.ask, is_log=is_log, remarks=read.remarks)
     content |= roles.content()
     measurement = content["measurement"]
     kind = INSTRUMENTS.get(measurement.get("instrument", ""))
@@ -300,13 +301,17 @@ def propose(
 
 @dataclass(frozen=True)
 class _Read:
-    """Result of a reader: its name, the tables, whether they are the whole file, `[source]`, and conclusions."""
+    """Result of a reader: its name, the tables, whether they are the whole file, `[source]`, and conclusions.
+
+    Also the lines that are no rows, with their numbers.
+    """
 
     name: str
     tables: list[ForeignTable]
     whole: bool
     source: dict[str, Any]
     guesses: tuple[Guess, ...] = ()
+    remarks: tuple[tuple[int, str], ...] = ()
 
 
 def _read(path: Path, preset: dict[str, Any], asker: "_Answers") -> _Read:
@@ -336,7 +341,9 @@ def _read(path: Path, preset: dict[str, Any], asker: "_Answers") -> _Read:
     if words := () if _log_columns(table) else _odd_cells(table, asker):
         source = source.model_copy(update={"missing": (*source.missing, *words)})
         table = table_of(path, found.text, source)
-    return _Read("delimited", [table], not found.cut, _plain(source), found.guesses)
+    rows = set(table.lines.tolist())
+    remarks = tuple((i, line) for i, line in enumerate(found.text.split("\n"), 1) if i not in rows and line.strip())
+    return _Read("delimited", [table], not found.cut, _plain(source), found.guesses, remarks)
 
 
 def _odd_cells(table: ForeignTable, asker: "_Answers") -> list[str]:

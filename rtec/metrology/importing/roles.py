@@ -23,6 +23,7 @@ from rtec.metrology.importing.words import (
     sensor_called,
     sensor_name,
     sensors_like,
+    sign_said,
     words_of,
 )
 from rtec.metrology.instruments.registry import INSTRUMENTS
@@ -51,6 +52,9 @@ CLEAR = 0.9
 MEANS = {1: "actual minus nominal", -1: "nominal minus actual, turned round"}
 LEAVE = "leave out"
 LENGTH_HINT = "um, mm, inch; for counts the size of one, such as 2.5 um"
+HOT, ROOM = 60.0, 45.0
+"""Medians: from the first on, a temperature without a unit may be in °F or K. Where one is below the second, a room is
+not in °F, and °C is assumed of the others, too."""
 UNIX = (1e8, 5e9)
 UNIX_MS = (1e11, 5e12)
 EXCEL = (20000.0, 80000.0)
@@ -83,6 +87,7 @@ class ColumnRoles:
         preset: known tables of a map.
         ask: asks the user.
         is_log: whether each channel has times of its own.
+        remarks: line numbers and texts of the lines of the file that are no rows.
 
     Attributes:
         use: column of the measurement and the reason, by column of the file.
@@ -92,8 +97,16 @@ class ColumnRoles:
     """
 
     def __init__(
-        self, table: ForeignTable, machine: Machine | None, preset: Mapping[str, Any], ask: Asks, *, is_log: bool
+        self,
+        table: ForeignTable,
+        machine: Machine | None,
+        preset: Mapping[str, Any],
+        ask: Asks,
+        *,
+        is_log: bool,
+        remarks: Sequence[tuple[int, str]] = (),
     ) -> None:
+        self.remarks = remarks
         self.table, self.machine, self.preset, self.ask, self.is_log = table, machine, preset, ask, is_log
         self.use: dict[str, tuple[str, str]] = {}
         self.units = {n: u for n in table.columns if (u := table.units.get(n) or bare_unit(n))}
@@ -246,23 +259,28 @@ class ColumnRoles:
 
     def _temperatures(self) -> None:
         sensors = self.machine.sensor_names if self.machine else ()
+        medians = [np.median(self._finite(n)) for n in self._free() if not self.units.get(n) and self._warm(n)]
+        usual = "°C" if min(medians, default=HOT) < ROOM else None
         for name in self._free():
             unit = self.units.get(name, "")
             like = bool(unit) and UNITS[unit].kind == "temperature"
             if not (like or (not unit and self._warm(name))):
                 continue
             reason = f"a temperature in {unit}" if like else "a temperature, by its name and its values"
+            median = float(np.median(self._finite(name)))
             if not like:
-                unit = "degc" if float(np.median(self._finite(name))) < 60.0 else ""
+                unit = "degf" if words_of(name)[1:] and words_of(name)[-1] == "f" else "degc" if median < HOT else ""
             target = self._sensor(name, sensors) if sensors else sensor_name(name)
             if not target or f"{target}_degc" in self.columns:
                 why = {None: "of no sensor known yet", "": "left out"}.get(target, f"a second one for {target}")
                 self.use[name] = ("", f"{reason}, {why}")
                 continue
             if not unit:
-                unit = (
-                    self.ask(f"unit of {name}", f"Unit of the temperature {name!r}?", ("°C", "°F", "K"), "°C") or "°C"
-                )
+                text = f"Unit of the temperature {name!r}? Half of its values are above {median:g}."
+                unit = self.ask(f"unit of {name}", text, ("°C", "°F", "K"), usual) or ""
+            if not unit:
+                self.use[name] = ("", f"{reason}, in a unit not known yet")
+                continue
             unit_key = {} if self.table.units.get(name) else {"unit": unit}
             self._take(name, f"{target}_degc", reason, **unit_key)
 
@@ -309,7 +327,7 @@ class ColumnRoles:
         rest = [n for n in free if n not in deviations]
         actual = [n for n in rest if has(n, "actual")]
         nominal = [n for n in rest if n not in actual and self._is_position(n)]
-        nominal.sort(key=lambda n: (n not in self.units, words_of(n)[:1] in (["position"], ["pos"])))
+        nominal.sort(key=lambda n: (n not in self.units, not has(n, "nominal"), words_of(n)[0] in ("position", "pos")))
         if not deviations and not readings and not (actual and nominal):
             deviations, nominal = self._by_size(rest, nominal)
             actual = []
@@ -506,6 +524,9 @@ class ColumnRoles:
         if sign := difference(name):
             self.settled["sign"] = f"{sign:+d}"
             return sign, f"{what}: {MEANS[sign]}, as its name says"
+        if said := sign_said(self.remarks):
+            self.settled["sign"] = f"{said[0]:+d}"
+            return said[0], f"{what}: {MEANS[said[0]]}, as line {said[1]} says"
         text = "Is the reading actual minus nominal (+1) or nominal minus actual (-1)?"
         return int(self.ask("sign", text, ("+1", "-1"), "+1") or "+1"), what
 

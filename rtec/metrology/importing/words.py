@@ -1,6 +1,7 @@
 """Names of columns in foreign tables: words for roles in several languages, and units in names."""
 
 import re
+from collections.abc import Sequence
 from typing import Final
 
 from rtec.metrology.readers.delimited import unit_named
@@ -25,7 +26,9 @@ WORDS: Final[dict[str, frozenset[str]]] = {
         }
     ),
     "date": frozenset({"date", "datum", "day", "tag", "jour", "fecha"}),
-    "run": frozenset({"run", "lauf", "cycle", "zyklus", "pass", "durchgang", "durchlauf", "messreihe", "series"}),
+    "run": frozenset(
+        {"run", "lauf", "cycle", "zyklus", "zyk", "pass", "durchgang", "durchlauf", "messreihe", "series"}
+    ),
     "direction": frozenset(
         {
             "direction",
@@ -140,8 +143,9 @@ DIRECTIONS: Final = {
 PLACES: Final = {
     "mutter": "nut", "bett": "bed", "luft": "air", "umgebung": "air", "raum": "air", "ambient": "air", "room": "air",
     "spindel": "spindle", "vorn": "front", "vorne": "front", "hinten": "rear", "schlitten": "carriage",
-    "spindelstock": "headstock", "öl": "oil", "gestell": "frame", "ständer": "column", "säule": "column",
-    "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale", "kühlmittel": "coolant",
+    "spindelstock": "headstock", "spindelkasten": "headstock", "öl": "oil", "gestell": "frame", "ständer": "column",
+    "säule": "column", "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale",
+    "kühlmittel": "coolant",
 }  # fmt: skip
 PLACE_WORDS: Final = PLACES.keys() | set(PLACES.values())
 MINUS: Final = frozenset("-–−‐‑‒—﹣－") | {"minus", "less", "moins", "menos", "meno"}
@@ -205,6 +209,19 @@ def difference(name: str) -> int | None:
     return None
 
 
+def sign_said(remarks: Sequence[tuple[int, str]]) -> tuple[int, int] | None:
+    """The order of the difference that a remark of the file gives (`error = nominal - actual`), and its line.
+
+    Args:
+        remarks: line numbers and texts of the lines that are no rows.
+    """
+    for line, text in remarks:
+        name, mark, formula = text.partition("=" if "=" in text else ":")
+        if mark and has(name, "deviation") and (sign := difference(formula)):
+            return sign, line
+    return None
+
+
 def _side(words: list[str]) -> int:
     """+1 where the first word with a role is an actual value, -1 where it is a nominal one, 0 where there is none."""
     for word in words:
@@ -257,6 +274,10 @@ def sensors_like(name: str, sensors: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def sensor_called(name: str, sensors: tuple[str, ...]) -> str:
-    """The sensor of exactly this name, or of the name derived from it; empty where there is none."""
+    """The sensor of exactly this name, of the name derived from it, or of its words in another order; or empty."""
     same = {s.lower(): s for s in sensors}
-    return same.get(name.lower().strip()) or same.get(sensor_name(name).lower(), "")
+    if exact := same.get(name.lower().strip()) or same.get(sensor_name(name).lower(), ""):
+        return exact
+    words = sorted(sensor_name(name).removeprefix("T_").lower().split("_"))
+    turned = [s for s in sensors if sorted(s.removeprefix("T_").lower().split("_")) == words]
+    return turned[0] if len(turned) == 1 and not PLACE_WORDS.isdisjoint(words) else ""
