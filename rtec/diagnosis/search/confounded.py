@@ -205,6 +205,8 @@ def _part_of_turn(effect: Effect, numbers: NDArray[np.float64]) -> int:
 
 
 PERIODS = ("pitch", "period")
+ANOTHER = 0.05
+"""Periods within this relative difference are one."""
 EVEN = 1e-3
 """Steps within this relative difference are equal."""
 SCATTER, MOST_MOVES = 0.25, 0.8

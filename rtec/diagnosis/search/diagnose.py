@@ -5,7 +5,7 @@ The steps are those of `docs/diagnose.md`. An effect is named only where noise a
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -17,7 +17,7 @@ from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
-from rtec.diagnosis.search.confounded import ALIASES, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
+from rtec.diagnosis.search.confounded import ALIASES, ANOTHER, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.drift_alone import drift_makes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.search.refit import (
@@ -112,8 +112,24 @@ def diagnose(
         progress = stage or (lambda *_: None)
         progress("reading, finding the noise", 0, 1)
         there = given or clean(measurements, model.reference_degc).without_ends()
-        found = _Search(model, there, seed, alpha, draws, only, explain, progress).diagnosis()
+        search = Search(model, there, seed, alpha, draws, only, explain, progress)
+        found = instead_of_files(search, search.diagnosis())
         return _with_changes(found, model, there) if explain else found
+
+
+def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
+    """The diagnosis; where something explains only differences between files, what explains them better without it.
+
+    Two files at two offsets of the instrument differ by the arm of an angle. Their temperatures differ as well.
+    """
+    if not search.between or not any(d.kind == "between_files" and d.fatal for d in found.doubts):
+        return found
+    sensors = set(search.model.machine.sensor_names)
+    read = {c for _, channels in search.between for c in channels} & search.refits.given
+    again = search.without(read | sensors if read & sensors else read)
+    other = again.diagnosis()
+    drop = max((m.heldout_drop for m in other.together), default=other.findings[0].heldout_drop if other.group else 0.0)
+    return other if other.group and drop > max(d for d, _ in search.between) else found
 
 
 def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
@@ -129,8 +145,6 @@ def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
 
 AT_NOISE = 1.1
 """A residual within this factor of the noise floor says nothing about numbers that have changed."""
-ANOTHER = 0.05
-"""Periods within this relative difference are one."""
 
 
 def _beside(candidate: EffectCandidate, model: Model) -> EffectCandidate | None:
@@ -193,7 +207,7 @@ def _rich(members: Sequence[Refitted]) -> bool:
     return any(t.columns.shape[1] > PLAIN for t in members)
 
 
-class _Search:
+class Search:
     def __init__(
         self,
         model: Model,
@@ -221,6 +235,17 @@ class _Search:
         self.rng = np.random.default_rng([seed, 400])
         self._top_shape: Shaped | None = None
         self._tops: list[Shaped] = []
+        # What explains only differences between files: the share of the mean square that it removes, and its channels.
+        self.between: list[tuple[float, frozenset[str]]] = []
+        self._asked = (model, given, seed, alpha, draws, only, explain, stage)
+
+    def without(self, channels: Collection[str]) -> "Search":
+        """The same search among the effects that read none of some channels."""
+        other = Search(*self._asked)
+        machine = self.model.machine
+        other.candidates = [c for c in other.candidates if not set(channels) & set(c.effect.channels(machine))]
+        other.refits = Refits(other.prepared, other.candidates, other.stage)
+        return other
 
     def diagnosis(self) -> Diagnosis:
         """Run the steps and return the answer."""
@@ -356,6 +381,7 @@ class _Search:
         return self._files_differ(best)
 
     def _files_differ(self, t: Refitted) -> Doubt:
+        self.between.append((t.drop, frozenset(self._channels(t))))
         return only_between_files(self.readings, self.candidates[t.number].effect.label, self._channels(t))
 
     def _doubt_files(self, members: Sequence[Refitted], along: Shaped | None = None) -> None:
