@@ -9,7 +9,7 @@ import pytest
 
 from rtec.diagnosis.doubts import Doubt
 from rtec.diagnosis.result import Diagnosis
-from rtec.diagnosis.search.diagnose import instead_of_files, Search, diagnose
+from rtec.diagnosis.search.diagnose import Search, diagnose, instead_of_files
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model

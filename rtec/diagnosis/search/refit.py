@@ -244,6 +244,7 @@ class Prepared:
         predicted: by the model, (m,).
         whitener: the noise.
         wrong: readings that were rejected.
+        known: whether the model's numbers are from other readings, with their errors.
     """
 
     readings: Readings
@@ -251,15 +252,29 @@ class Prepared:
     predicted: Floats
     whitener: Whitener
     wrong: tuple[WrongReading, ...]
+    known: bool = False
+
+    @property
+    def kept(self) -> Floats | None:
+        """Prediction of the model with the numbers that it has from other readings, (m,); None where it has none."""
+        return self.predicted if self.known else None
 
 
-def prepare(model: Model, given: Clean) -> Prepared:
-    """Smoothed temperatures, the model's prediction, and the noise."""
+def prepare(model: Model, given: Clean, earlier: bool = False) -> Prepared:
+    """Smoothed temperatures, the model's prediction, and the noise.
+
+    Args:
+        model: the current model.
+        given: the readings.
+        earlier: whether the model's numbers come from other readings although it names these.
+    """
     readings = given.smoothed()
     base = base_of(model, readings)
     left = floor.cleaned(readings, readings.values - base.columns @ solve(base.columns, readings.values))
     whitener = find_noise(readings, base.columns, least=least_noise(readings, left))
-    return Prepared(readings, base.columns, base.predicted, whitener, given.wrong)
+    again = any(m.fingerprint in model.measurements.values() for m in readings.measurements)
+    known = (earlier or not again) and any(f.errors for f in model.effects)
+    return Prepared(readings, base.columns, base.predicted, whitener, given.wrong, known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -889,7 +904,7 @@ class Refits:
 
     def held_out_gain(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on held-out runs, and the gain in whitened squares for each fold."""
-        return held_out_gain(whitener, self.prepared.base, columns)
+        return held_out_gain(whitener, self.prepared.base, columns, self.prepared.kept)
 
     @cached_property
     def subset(self) -> tuple[NDArray[np.bool_], Readings]:
