@@ -14,10 +14,11 @@ from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
-from rtec.characterise.warnings import FEW_BLOCKS
+from rtec.characterise.warnings import EXPANDS, FEW_BLOCKS
 from rtec.effects import Effect
 from rtec.effects.base import Kind, component_kind
 from rtec.effects.effect_list import AskedEffects, read_wanted
+from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
 from rtec.estimation import floor
@@ -230,11 +231,26 @@ def _further_rules(
     readings: Readings, fit: Estimate, fixed: int, named: Callable[[Term], bool], rules: _Rules
 ) -> _Rules:
     """The rules, extended by drives that cancel in a fit, and waves that do not predict held-out targets."""
-    cancelling = frozenset(drive(fit.terms[i].effect) for i in fit.undetermined if i >= fixed)
-    single = (*rules.single, cancelling) if cancelling and cancelling not in rules.single else rules.single
+    cancelling = [frozenset(drive(fit.terms[i].effect) for i in fit.undetermined if i >= fixed)]
+    more = [c for c in (*cancelling, *_against_each_other(fit, fixed, named)) if c and c not in rules.single]
+    single = (*rules.single, *dict.fromkeys(more))
     waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not named(t)]
     barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
     return replace(rules, single=single, barred=barred | _crowded(readings, fit.terms[fixed:], named))
+
+
+def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> list[frozenset[Drive]]:
+    """Drives of expansions of one component, each more than any material's, of which one takes back what others make.
+
+    They fit the difference of two temperatures on this day.
+    """
+    grown: dict[str, list[tuple[float, Drive]]] = {}
+    for i, term in enumerate(fit.terms[fixed:], fixed):
+        k = float(fit.values[np.flatnonzero(fit.linear.owner == i)[0]])
+        if isinstance(term.effect, AxisExpansion) and abs(k) > EXPANDS and not named(term):
+            grown.setdefault(term.effect.component, []).append((k, drive(term.effect)))
+    signs = [(frozenset(d for _, d in of), {k > 0.0 for k, _ in of}) for of in grown.values()]
+    return [drives for drives, ways in signs if len(ways) > 1]
 
 
 def _crowded(readings: Readings, terms: Sequence[Term], named: Callable[[Term], bool]) -> frozenset[Drive]:

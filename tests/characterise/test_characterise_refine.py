@@ -1,11 +1,15 @@
 """Time constants between those of the candidates. Oracle: a scan of least squares with a filter written in numpy."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from rtec.characterise import characterise
-from rtec.characterise.candidates import TermCandidate
+from rtec.characterise.candidates import TermCandidate, drive
 from rtec.characterise.refine import refined
+from rtec.characterise.run import _against_each_other
 from rtec.characterise.screen import screen
 from rtec.estimation.gram.projection import polish
 from rtec.estimation.gram.source import Source
@@ -106,3 +110,19 @@ def test_whose_sensor_a_name_says() -> None:
         False,
         False,
     ]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "alone"), [((72.7, -81.8), True), ((72.7, 81.8), False), ((11.0, -81.8), False), ((11.0, -9.0), False)]
+)
+def test_expansions_beyond_any_material_that_cancel_are_never_chosen_together(
+    numbers: tuple[float, float], alone: bool
+) -> None:
+    """Oracle: steel grows 12 µm/(m·K) and aluminium 23; one term of each sensor, with the numbers that are given."""
+    terms = [called("scale(EXX)").term, *(called(f"axis_expansion(EXX) of {t}").term for t in ("T_bed", "T_air"))]
+    fit: Any = SimpleNamespace(
+        terms=terms, values=np.array([5.0, *numbers]), linear=SimpleNamespace(owner=np.array([0, 1, 2]))
+    )
+    drives = [frozenset(drive(t.effect) for t in terms[1:])]
+    assert _against_each_other(fit, 0, lambda _: False) == (drives if alone else [])
+    assert not _against_each_other(fit, 0, lambda _: True)
