@@ -87,6 +87,8 @@ squares, is clearly better."""
 ALIKE = 1.5
 """Temperatures by another clock, and a factor that no unit has, are asked about where an effect leaves more than this
 many times what they leave."""
+MANY_TIMES = 3.0
+"""A number of the machine is hardly more than this many times what it was, or less than the inverse."""
 GROWS = "something that grows shifts the readings as much"
 SENSORS_LATE = "the sensors warm up that much later than their parts"
 FAR_LESS = 0.75
@@ -282,6 +284,8 @@ def _edited_records(judged: Judgement, measured: Floats, predicted: Floats) -> "
     near = NEAR_FLOOR * _whole_noise(judged)
     if found.kind in ("wrong_gain", "lost_sensor"):
         return found
+    if found.kind in ("wrong_channel", "swapped_sensors") and _new_number_does(judged, found):
+        return None
     if found.kind == "late_temperatures" and not met:
         return _by_another_clock(judged, found, usual)
     if found.kind == "wrong_channel":
@@ -340,6 +344,22 @@ def _as_well(judged: Judgement, residual: float) -> bool:
         return True
     new = (_left_by(judged, _columns(judged, e)) for e in _simple(judged))
     return any(_clearly_less(left, residual, judged.noise_floor) for left in new)
+
+
+def _new_number_does(judged: Judgement, found: "_Edit") -> bool:
+    """Whether new numbers of one effect leave clearly less than an edit of a channel: they are plainer.
+
+    That a number is many times what it was, or has the other sign, is less plain than that a unit is wrong.
+    """
+    for fitted in judged.model.effects:
+        columns = _columns(judged, fitted.effect, fitted.theta)
+        if AS_GOOD * _left_by(judged, columns) >= found.residual:
+            continue
+        old = ordered(fitted, judged.readings)
+        times = 1.0 + solve(columns, judged.left) / np.where(old == 0.0, math.inf, old)
+        if not found.of_unit or np.all((times < MANY_TIMES) & (times > 1.0 / MANY_TIMES)):
+            return True
+    return False
 
 
 def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: float | None) -> Iterator["_Edit"]:
@@ -479,6 +499,7 @@ class _Edit:
         times: what it multiplies the readings by.
         unless: what else does the same, in words; empty for nothing.
         rival: what else does the same if an effect describes the readings as well; empty for that effect alone.
+        of_unit: whether it multiplies a channel by a factor that a unit has.
     """
 
     residual: float
@@ -490,6 +511,7 @@ class _Edit:
     times: float = 1.0
     unless: str = ""
     rival: str = ""
+    of_unit: bool = False
 
     @property
     def fatal(self) -> bool:
@@ -568,17 +590,18 @@ class _Edits:
             suspect, check = "its unit or its scale in the file may be wrong", "that column"
             factors = [f for f in CHANNEL_FACTORS if self._within_travel(channel, f)]
             times = [{channel: lambda s, c=channel, f=f: f * s.channels[c]} for f in factors]
-            still = self._without_change(channel)
+            still = min(self._without_change(channel), self._without_effects(channel))
             for factor, residual in zip(factors, self.residuals(times), strict=True):
                 if AS_GOOD * float(residual) > still:
                     continue  # it only takes away what the model has by that channel
                 by = f"{factor:g}" if abs(factor) >= 1.0 else f"1/{1.0 / factor:g}"
-                yield _Edit(float(residual), "wrong_channel", f"{channel} times {by}", suspect, check)
+                edit, of_unit = f"{channel} times {by}", factor not in NO_UNIT
+                yield _Edit(float(residual), "wrong_channel", edit, suspect, check, of_unit=of_unit)
             if channel in self.model.machine.sensor_names:
                 residual = self.residuals([{channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}])[0]  # type: ignore[misc]
                 if AS_GOOD * float(residual) > still:
                     continue
-                yield _Edit(float(residual), "wrong_channel", f"{channel} read as °F", suspect, check)
+                yield _Edit(float(residual), "wrong_channel", f"{channel} read as °F", suspect, check, of_unit=True)
 
     def _without_change(self, channel: str) -> float:
         """Root mean square of the residual if a channel had its median throughout."""
@@ -588,16 +611,33 @@ class _Edits:
         median = float(np.nanmedian(values))
         return float(self.residuals([{channel: lambda s: np.full(len(s), median)}])[0])
 
+    def _without_effects(self, channel: str) -> float:
+        """Least root mean square of the residual without effects of the model that read a channel."""
+        reads = [channel in f.effect.channels(self.model.machine) for f in self.model.effects]
+        some = [p for p, r in zip(self.parts, reads, strict=True) if r]
+        whole = self._left({})
+        if whole is None or not some:
+            return math.inf
+        left = floor.cleaned(self.readings, np.stack([whole + p for p in (*some, np.sum(some, axis=0))], axis=1))
+        return min(floor.pooled(self.readings, floor.rms_by_series(self.readings, v), self.scale) for v in left.T)
+
     def _within_travel(self, channel: str, factor: float) -> bool:
-        """Whether a position times a factor that a unit has is within the travel; true of all other channels."""
+        """Whether a position times a factor that a unit has is within the travel; true of all other channels.
+
+        Targets cover most of the travel: positions that are within it as they are recorded are not too large.
+        """
         axis = next((a for a in self.model.machine.axes if a.channel == channel), None)
         if axis is None:
             return True
-        if factor in NO_UNIT:
+        places = [s.channels[channel] for s in self.readings.states if channel in s.channels]
+        if factor in NO_UNIT or (abs(factor) < 1.0 and self._in_travel(axis, places)):
             return False
+        return self._in_travel(axis, [factor * p for p in places])
+
+    def _in_travel(self, axis: Axis, places: Sequence[Floats]) -> bool:
+        """Whether positions are within the travel of an axis, or hardly beyond it."""
         low, high = axis.travel_mm
         beyond = BEYOND * (high - low)
-        places = [factor * s.channels[channel] for s in self.readings.states if channel in s.channels]
         return all(low - beyond <= float(np.nanmin(p)) and float(np.nanmax(p)) <= high + beyond for p in places)
 
     def _exchanged(self) -> Iterator[_Edit]:
@@ -607,6 +647,8 @@ class _Edits:
             if {one, two} & self.read:
                 swap = {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}
                 left, edit = float(self.residuals([swap])[0]), f"{one} and {two} exchanged"
+                if AS_GOOD * left > min(self._without_effects(one), self._without_effects(two)):
+                    continue
                 yield _Edit(left, "swapped_sensors", edit, suspect, "their labels", swap)
 
     def _moved(self) -> Iterator[_Edit]:
