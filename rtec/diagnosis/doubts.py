@@ -41,7 +41,7 @@ Kind = Literal[
     "wrong_scale", "wrong_gain", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction",
     "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
-    "unexplained", "two_levels",
+    "unexplained", "two_levels", "few_targets",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -63,7 +63,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     }
 )
 """Doubts beside which no effect of the machine is named."""
-DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets", "unexplained"}
+DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets", "few_targets", "unexplained"}
 """Doubts beside which it is undetermined whether an effect is missing."""
 
 BETTER = 0.5
@@ -216,6 +216,16 @@ def _disagree(judged: Judgement) -> list[Doubt]:
         )
         out.append(Doubt("other_machine", message, step))
     return out
+
+
+def targets_apart(channels: Sequence[str], at_mm: Sequence[Sequence[float]]) -> Doubt:
+    """Doubt about what only one or two targets show, at their places along axes."""
+    places = [", ".join(f"{c.upper()} = {significant(v)}" for c, v in zip(channels, at, strict=True)) for at in at_mm]
+    one = len(places) == 1
+    which = f"The target{'' if one else 's'} at {' mm and '.join(places)} mm stand{'s' if one else ''} out"
+    message = f"{which} from all others in every run: that is no shape."
+    step = f"Measure once more, with further targets close beside {'it' if one else 'them'}."
+    return Doubt("few_targets", message, step, fatal=True)
 
 
 def unexplained(judged: Judgement) -> Doubt | None:

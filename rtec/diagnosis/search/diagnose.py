@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import Doubt, doubts
+from rtec.diagnosis.doubts import Doubt, doubts, targets_apart
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
@@ -35,7 +35,15 @@ from rtec.diagnosis.search.refit import (
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.shapes import groups
-from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, curves_of, without_idle
+from rtec.diagnosis.search.unnamed import (
+    FewTargets,
+    Shaped,
+    adequacy,
+    best_shapes,
+    curves_of,
+    few_targets,
+    without_idle,
+)
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
@@ -230,6 +238,7 @@ class _Search:
         p, _ = found.family_p(self.draws, self.rng)
         refitted, accepted = self._in_order(found, p)
         best = refitted[0] if refitted else None
+        accepted = accepted and not self._of_few_targets(refitted[0])
         named, share, unknown = self._adequate(best if accepted else None)
         pair: tuple[Refitted, Refitted] | None = None
         chain: list[Refitted] = []
@@ -498,7 +507,10 @@ class _Search:
     def _adequate(self, best: Refitted | None) -> tuple[bool, float | None, Unknown | None]:
         """Whether the best effect is as good as a shape without a name; its adequacy; that shape where it is not."""
         self.stage("shapes without a name", 0, 1)
-        tops = [t for t in self._shapes(best) if best is None or not far_better(best, t)]
+        shapes = self._shapes(best)
+        if best is None:
+            self._doubt_targets([t.few for t in shapes if t.log_evidence > OVERWHELMING])
+        tops = [t for t in shapes if t.few is None and (best is None or not far_better(best, t))]
         top = max(tops, key=lambda t: t.log_evidence, default=None)
         self._top_shape = top
         self._tops = tops
@@ -518,6 +530,23 @@ class _Search:
         # likelier than the shape, its name is still the better answer.
         named = share >= ADEQUATE or self._with_another(best, top) > top.log_evidence
         return named, share, None if named else self._unknown(top)
+
+    def _of_few_targets(self, best: Refitted) -> bool:
+        """Whether only one or two targets show an effect of many numbers along axes."""
+        effect, machine = self.candidates[best.number].effect, self.model.machine
+        read = effect.channels(machine)
+        if best.columns.shape[1] <= PLAIN or not set(read) <= {c for a in machine.axes for c in a.moving_channels}:
+            return False
+        along = [a.channel for a in machine.axes if a.channel in read]
+        few = few_targets(self.readings, self.prepared.base, best.columns, best.fit.whitener, along)
+        self._doubt_targets([few])
+        return few is not None
+
+    def _doubt_targets(self, found: Sequence[FewTargets | None]) -> None:
+        """Say which targets stand out, where most of their readings do."""
+        few = next((t for t in found if t is not None and t.recur), None)
+        if few is not None and not any(d.kind == "few_targets" for d in self.doubts):
+            self.doubts = (*self.doubts, targets_apart(few.channels, few.at_mm.tolist()))
 
     def _simpler(self, best: Refitted, tops: Sequence[Shaped]) -> Shaped | None:
         """A hump, a step or several that is likelier than an effect with more numbers; None where there is none."""
@@ -630,7 +659,7 @@ class _Search:
             fit,
             lambda noise, columns: held_out_gain(noise, base, columns),
         )
-        best = max((t.log_evidence for t in rest), default=None)
+        best = max((t.log_evidence for t in rest if t.few is None), default=None)
         return best is None or chain[-1].log_evidence + best > top.log_evidence
 
     def _beside_curve(self, p: float) -> tuple[list[Refitted], Shaped | None]:
