@@ -670,11 +670,11 @@ class _Edits:
                 edit, of_unit = f"{channel} times {by}", factor not in NO_UNIT
                 yield _Edit(float(residual), "wrong_channel", edit, suspect, check, made, of_unit=of_unit)
             if channel in self.model.machine.sensor_names:
-                made = {channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}  # type: ignore[misc]
-                residual, edit = self.residuals([made])[0], f"{channel} read as °F"
+                celsius: Replaced = {channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}  # type: ignore[misc]
+                residual, edit = self.residuals([celsius])[0], f"{channel} read as °F"
                 if AS_GOOD * float(residual) > still:
                     continue
-                yield _Edit(float(residual), "wrong_channel", edit, suspect, check, made, of_unit=True)
+                yield _Edit(float(residual), "wrong_channel", edit, suspect, check, celsius, of_unit=True)
 
     def _without_change(self, channel: str) -> float:
         """Root mean square of the residual if a channel had its median throughout."""

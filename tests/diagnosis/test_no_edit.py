@@ -41,7 +41,7 @@ def some_runs(m: Measurement, which: Sequence[int]) -> Measurement:
     return replace(m, run=m.run[keep], time_s=m.time_s[keep], channels=channels, readings=readings)
 
 
-def zeros(m: Measurement, um: Sequence[float]) -> Floats:
+def zeros(m: Measurement, um: Sequence[float] | Floats) -> Floats:
     """A zero of its own in each run."""
     return np.asarray(um)[np.unique(m.run, return_inverse=True)[1]]
 
