@@ -509,7 +509,9 @@ class _Search:
         self.stage("shapes without a name", 0, 1)
         shapes = self._shapes(best)
         if best is None:
-            self._doubt_targets([t.few for t in shapes if t.log_evidence > OVERWHELMING])
+            likeliest = max(shapes, key=lambda t: t.log_evidence, default=None)
+            sure = likeliest is not None and likeliest.log_evidence > OVERWHELMING
+            self._doubt_targets([likeliest.few] if likeliest is not None and sure else [])
         tops = [t for t in shapes if t.few is None and (best is None or not far_better(best, t))]
         top = max(tops, key=lambda t: t.log_evidence, default=None)
         self._top_shape = top
