@@ -229,6 +229,7 @@ class _Search:
         self.rng = np.random.default_rng([seed, 400])
         self._top_shape: Shaped | None = None
         self._tops: list[Shaped] = []
+        self._few: FewTargets | None = None
 
     def diagnosis(self) -> Diagnosis:
         """Run the steps and return the answer."""
@@ -258,6 +259,8 @@ class _Search:
         if unknown is not None and not chain and self._of_no_machine(unknown, best if accepted else None):
             unknown = None
         named = named or bool(chain) or pair is not None
+        if self._few is not None and unknown is None and not named:
+            self.doubts = (*self.doubts, targets_apart(self._few.channels, self._few.at_mm.tolist()))
         undecided = None if named else self._undecided(refitted)
         if undecided is not None and (unknown is None or beats_drift(undecided[1], self._top_shape)):
             unknown, refitted = None, _first(undecided[1:], refitted)
@@ -545,10 +548,8 @@ class _Search:
         return few is not None
 
     def _doubt_targets(self, found: Sequence[FewTargets | None]) -> None:
-        """Say which targets stand out, where most of their readings do."""
-        few = next((t for t in found if t is not None and t.recur), None)
-        if few is not None and not any(d.kind == "few_targets" for d in self.doubts):
-            self.doubts = (*self.doubts, targets_apart(few.channels, few.at_mm.tolist()))
+        """Keep which targets stand out, where most of their readings do."""
+        self._few = self._few or next((t for t in found if t is not None and t.recur), None)
 
     def _simpler(self, best: Refitted, tops: Sequence[Shaped]) -> Shaped | None:
         """A hump, a step or several that is likelier than an effect with more numbers; None where there is none."""
