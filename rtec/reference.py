@@ -392,6 +392,7 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "map.rows.require": '["error"]',
     "map.rows.where": '"bed_target == 105"',
     "map.column.NAME.from": '"Abweichung"',
+    "map.column.NAME.value": "180.0",
     "map.column.NAME.minus": '"Soll"',
     "map.column.NAME.minus_unit": '"um"',
     "map.column.NAME.unit": '"µm"',

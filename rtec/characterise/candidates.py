@@ -62,6 +62,7 @@ class TermCandidate:
         channels: sensors, speed or axis that drive it.
         direct: the readings show its component directly, not only through a lever arm.
         offered: whether it may be chosen; otherwise it only shows with what a chosen term is confounded.
+        elsewhere: whether it grows along an axis by a sensor that is named after another one.
     """
 
     term: Term
@@ -70,6 +71,7 @@ class TermCandidate:
     channels: tuple[str, ...] = ()
     direct: bool = True
     offered: bool = True
+    elsewhere: bool = False
 
     @property
     def component(self) -> str:
@@ -181,8 +183,9 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
             yield _candidate("temperature", "mount_expansion", seen.name, theta, **more)
             if axis is not None and seen.moves and seen.name[2] != "0":
                 more["axis"] = axis.name
-                yield _candidate("temperature", "axis_expansion", seen.name, theta, **more)
-                yield _candidate("temperature", "axis_expansion_nonuniform", seen.name, theta, **more)
+                far = machine.of_another_axis(sensor, axis.name)
+                for grows in ("axis_expansion", "axis_expansion_nonuniform"):
+                    yield replace(_candidate("temperature", grows, seen.name, theta, **more), elsewhere=far)
     for front, back in itertools.combinations(varying, 2):
         more = {"feature": f"{front} - {back}", "channels": (front, back), "front": front, "back": back}
         yield _candidate("difference", "column_tilt", seen.name, **more)

@@ -306,6 +306,8 @@ PATIENCE = 2
 SIMPLER = 0.005
 """If held-out errors of candidates differ by less than this share, the simplest one is chosen."""
 SWAPS = 3
+OWN = 2.0
+"""Standard errors by which a sensor that is named after another axis must be better than one of the axis itself."""
 KINDS = (
     "position",
     "direction",
@@ -376,16 +378,17 @@ def choose(
             break
         best = min((table.errors(c) for c in (better, _best(table, path))), key=np.sum)
         chosen = _drop(table, better, forced, best)
+    chosen = _by_own_sensors(table, chosen, forced)
     held_out = float(np.sqrt(table.held_out(chosen)))
     rivals, same = find_rivals(table, chosen), table.confounded(chosen)
     return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
 
 
-def one_standard_error(worse: Floats, better: Floats) -> bool:
-    """Whether the gain of the better choice, fold by fold, is within one standard error."""
+def one_standard_error(worse: Floats, better: Floats, times: float = 1.0) -> bool:
+    """Whether the gain of the better choice, fold by fold, is within one standard error, or so many `times` it."""
     gain = worse - better
     spread = np.std(gain, ddof=1) * np.sqrt(len(gain)) if len(gain) > 1 else 0.0
-    return bool(gain.sum() <= spread)
+    return bool(gain.sum() <= times * spread)
 
 
 def independent(normal: Normal, columns: Sequence[Ints], items: Sequence[int]) -> list[int]:
@@ -434,9 +437,15 @@ def _simplest(table: HeldOutTable, tried: Sequence[int], errors: Floats) -> int:
     return min(ranks)[-1]
 
 
-def _complexity(table: HeldOutTable, i: int) -> tuple[bool, int, int, int]:
+def _complexity(table: HeldOutTable, i: int) -> tuple[bool, bool, int, int, int]:
     candidate = table.candidates[i]
-    return not candidate.direct, len(table.columns[i]), KINDS.index(candidate.kind), len(candidate.term.theta)
+    return (
+        not candidate.direct,
+        candidate.elsewhere,
+        len(table.columns[i]),
+        KINDS.index(candidate.kind),
+        len(candidate.term.theta),
+    )
 
 
 def _step(table: HeldOutTable, chosen: Sequence[int], label: str) -> ChoiceStep:
@@ -516,6 +525,24 @@ def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[i
                 fewer = len(one) < len(chosen) and one_standard_error(table.errors(one), table.errors(chosen))
                 if fewer or table.held_out(one) < table.held_out(chosen) * (1 - PAYS):
                     chosen = one
+    return chosen
+
+
+def _by_own_sensors(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
+    """The choice with the sensor of the axis in the place of one that is named after another axis, where it is as good.
+
+    The nuts of two axes that run together warm alike on this day, and on another day they do not.
+    """
+    for i in chosen:
+        one = table.candidates[i]
+        if not one.elsewhere or i in forced:
+            continue
+        rest = [j for j in chosen if j != i]
+        near = [k for k in table.shortlist(rest, len(table.candidates)) if _form(table.candidates[k]) == _form(one)]
+        near = [k for k in near if not table.candidates[k].elsewhere and k not in rest]
+        if near:
+            other = [*rest, near[int(np.argmin(table.held_out_beside(rest, near)))]]
+            chosen = other if one_standard_error(table.errors(other), table.errors(chosen), OWN) else chosen
     return chosen
 
 

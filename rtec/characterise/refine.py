@@ -7,6 +7,8 @@ temperature with another delay, or another temperature, and their sum would be w
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from rtec.characterise.candidates import Drive, TermCandidate, at_constant_temperature, drive
 from rtec.errors import ModelError
 from rtec.estimation.gram.identifiable import tellable
@@ -16,6 +18,9 @@ from rtec.estimation.gram.stream import gather
 
 READINGS = 5_000
 """Approximate number of instants of each measurement in a search."""
+AS_GOOD, EXPLAINS = 1.2, 0.8
+"""Another sensor is refined, too, where it leaves at most this many times the squares that the best sensor leaves, and
+explains at least this share of what that explains."""
 
 
 def refined(
@@ -24,7 +29,8 @@ def refined(
     """Each lagged temperature of a choice, with the time constant at which it alone explains most.
 
     Alone means: instead of all temperatures of the choice in its component and form, and beside the same shape at
-    constant temperature.
+    constant temperature. The right sensor may be missing in the choice for want of its time constant: the other sensors
+    that explain as much are among the results.
 
     Args:
         sources: the measurements.
@@ -38,25 +44,48 @@ def refined(
             beside = [c for c in chosen if not (c.feature and _form(c) == _form(one))]
             shape = at_constant_temperature(one, candidates)
             beside += [shape] if shape is not None and shape not in beside else []
-            found = _polished(few, one, beside)
-            if found is not None:
-                out.setdefault(drive(one.term.effect), found)
+            tried = [_polished(few, c, beside) for c in (one, *_by_other_sensors(one, candidates))]
+            least, without = min((left for _, left in filter(None, tried)), default=0.0), _left(few, beside, one)
+            most = min(AS_GOOD * least, without - EXPLAINS * (without - least))
+            for i, found in enumerate(tried):
+                if found is not None and (i == 0 or found[1] <= most):
+                    out.setdefault(drive(found[0].term.effect), found[0])
     return list(out.values())
+
+
+def _by_other_sensors(one: TermCandidate, candidates: Sequence[TermCandidate]) -> list[TermCandidate]:
+    """The same effect with the same time constant by each other sensor, where it may be chosen."""
+    tau = one.term.theta["tau"]
+    alike = [c for c in candidates if _form(c) == _form(one) and c.offered and c.channels != one.channels]
+    return list({c.channels: c for c in alike if c.term.theta.get("tau") == tau}.values())
 
 
 def _form(candidate: TermCandidate) -> tuple[str, str]:
     return candidate.component, candidate.effect
 
 
-def _polished(sources: Sequence[Source], one: TermCandidate, beside: Sequence[TermCandidate]) -> TermCandidate | None:
-    """A candidate with the parameters that fit best beside others; None where the readings do not determine it."""
+def _left(sources: Sequence[Source], terms: Sequence[TermCandidate], without: TermCandidate) -> float:
+    """Sum of squares that terms leave, without one that is none of them."""
+    normal = gather(sources, [without.term, *(c.term for c in terms)])
+    rest = normal.pick(np.flatnonzero(normal.owner[: normal.width] != 0))
+    return rest.squares(rest.values())
+
+
+def _polished(
+    sources: Sequence[Source], one: TermCandidate, beside: Sequence[TermCandidate]
+) -> tuple[TermCandidate, float] | None:
+    """A candidate with the parameters that fit best beside others, and the squares that all leave.
+
+    None where the readings do not determine it.
+    """
     terms = [one.term, *(c.term for c in beside)]
     terms = [terms[i] for i in tellable(gather(sources, terms), terms)]
     if one.term not in terms:
         return None
+    at = terms.index(one.term)
     try:
-        term = polish(sources, terms).terms[terms.index(one.term)]
+        found = polish(sources, terms, only=[at])
     except ModelError:
         return None
-    sensor = one.feature.split(" lagged ")[0]
-    return replace(one, term=term, feature=f"{sensor} lagged {term.theta['tau']:.3g} s")
+    term, sensor = found.terms[at], one.feature.split(" lagged ")[0]
+    return replace(one, term=term, feature=f"{sensor} lagged {term.theta['tau']:.3g} s"), found.left

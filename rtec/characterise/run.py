@@ -1,6 +1,6 @@
 """Characterises a machine: from measurements to a geometric-thermal model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,8 @@ from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
 from rtec.characterise.warnings import FEW_BLOCKS
 from rtec.effects import Effect
-from rtec.effects.effect_list import AskedEffects
+from rtec.effects.base import Kind, component_kind
+from rtec.effects.effect_list import AskedEffects, read_wanted
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
 from rtec.estimation import floor
@@ -187,14 +188,14 @@ def _fit_to(
     _check_channels(sources, exact)
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     if wanted is not None and not wanted.names:
-        return _significant(sources, fixed, [], wanted, 0, tell), None, None
+        return _significant(sources, fixed, [], wanted, (), tell), None, None
     one_way = wanted is None and any(p.one_way for p in one_pass(given.readings))
     named, rules = _is_named(wanted), _Rules(places_only=one_way)
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
         chosen = _with_constant(screened, choice, rules)
         chosen = joined([chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else [])
-        fit = _significant(sources, fixed, chosen, wanted, sum(c.offered for c in screened.candidates), tell)
+        fit = _significant(sources, fixed, chosen, wanted, screened.candidates, tell)
         further = _further_rules(given.readings, fit, len(fixed), named, rules)
         if further == rules:
             return fit, screened, choice
@@ -331,7 +332,7 @@ def _significant(
     fixed: list[Term],
     chosen: list[Term],
     wanted: AskedEffects | None,
-    candidates: int,
+    candidates: Sequence[TermCandidate],
     tell: Stage,
 ) -> Estimate:
     """Fit, and drop chosen terms that are neither significant nor spared, the least significant one first.
@@ -340,10 +341,10 @@ def _significant(
     the first goes after all of these but one. Degrees of a polynomial were chosen one by one, and are tested one by
     one.
     """
-    named = _is_named(wanted)
+    named, offered = _is_named(wanted), sum(c.offered for c in candidates)
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
-        sure, owner = surety(fit, candidates), fit.linear.owner - kept
+        sure, owner = surety(fit, offered), fit.linear.owner - kept
         there = {_form(t) for i, t in enumerate(chosen) if sure[owner == i].max() >= 1.0}
         idle: list[tuple[float, int, Term, list[Term]]] = []
         for i, term in enumerate(chosen):
@@ -363,17 +364,49 @@ def _significant(
     blocks = sum(len(s.blocks.fold) for s in sources)
     why = "the readings are noise, or show an error that no effect describes"
     if blocks < FEW_BLOCKS:
-        why = f"{blocks} blocks of readings are too few to choose among {candidates} effects"
+        why = f"{blocks} blocks of readings are too few to choose among {offered} effects"
     if wanted is not None:
         raise ModelError(
             f"fit: none of the effects named ({', '.join(wanted.names)}) lowers the error on held-out runs "
             f"significantly: {why}; name an effect with its component and arguments to fit it nonetheless: --effects "
             "mount_expansion:EXX:sensor=T_bed"
         )
-    raise ModelError(
-        f"fit: no effect lowers the error on held-out runs significantly: {why}; name effects with --effects to fit "
-        "them nonetheless"
-    )
+    way = "name effects with --effects to fit them nonetheless"
+    if first := _first_model(sources, candidates):
+        way = f"for a first model, which rtec improve extends, add --effects {first}, fitted without a choice"
+    more = f"; for a choice measure at least {FEW_BLOCKS} runs" if blocks < FEW_BLOCKS else ""
+    raise ModelError(f"fit: no effect lowers the error on held-out runs significantly: {why}; {way}{more}")
+
+
+USUAL: Mapping[Kind, str] = {
+    "positioning": "scale",
+    "straightness": "straightness",
+    "tilt": "angular_motion",
+    "roll": "angular_motion",
+    "axis_angle": "squareness",
+}
+"""The first effect to fit, by the kind of a component that the readings show directly."""
+
+
+def _first_model(sources: Sequence[Source], candidates: Sequence[TermCandidate]) -> str:
+    """Geometry that can be fitted without a choice, as `--effects` takes it; empty where these readings show none."""
+    machine = sources[0].measurement.machine
+    own = [(c.effect, c.component) for c in candidates if c.offered and c.direct]
+    names = []
+    for component in dict.fromkeys(component for _, component in own):
+        kind = component_kind(component, machine)
+        if kind in USUAL:
+            names.append(f"{USUAL[kind]}:{component}")
+        if kind == "positioning" and ("backlash", component) in own:
+            names.append(f"backlash:{component}")
+    if not names:
+        return ""
+    try:
+        exact = read_wanted(",".join(names), machine).exact
+        _fitted(sources, starting_terms(exact, [thinned(s, SEARCHED) for s in sources]), lambda _what, _done, _of: None)
+    except ModelError:
+        return ""
+    return ",".join(names)
 
 
 def _form(term: Term) -> tuple[str, str]:

@@ -61,7 +61,7 @@ def import_(
         return
     if not files:
         raise typer.BadParameter("name a FILE, or ask for --list", param_hint="FILE")
-    if map_ is not None and out is not None and _is_whole(map_):
+    if map_ is not None and out is not None and not answer and _is_whole(map_):
         _import(files, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
         return
     proposal = _proposal(files[0], map_, reader, machine, answer or [])

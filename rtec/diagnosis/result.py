@@ -328,6 +328,13 @@ class Diagnosis(Result):
         return self.changed_rms**2 < 0.5 * self.rms_residual**2
 
     @property
+    def named_drop(self) -> float:
+        """Share of the mean square on held-out runs that what is named removes; zero where nothing is."""
+        if not self.group:
+            return 0.0
+        return max([self.findings[0].heldout_drop, *(m.heldout_drop for m in self.together)])
+
+    @property
     def group(self) -> tuple[Finding, ...]:
         """Rank 1 and the findings confounded with it, where rank 1 was accepted; empty otherwise."""
         return tuple(f for f in self.findings if f.group and self.findings[0].accepted)

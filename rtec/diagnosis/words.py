@@ -197,7 +197,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             share = percent(max(d.adequacy, 0.0))
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
         text = f"an effect is missing that is not in the catalogue: the residual depends {how}on {where}{at}{near}"
-        return text + _within(d) + _by_heat(d)
+        return text + _within(d) + _by_feed(d) + _by_heat(d)
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
     slow = drifts(d)
@@ -296,7 +296,7 @@ def _together(d: Diagnosis) -> str:
     where = " and ".join(map(named, d.unknown.channels))
     same = other_parts(d.findings[0])
     text = f"{named_so} {are} missing{same}; what stays has no name in the catalogue and depends on {where}"
-    return text + _within(d) + _by_heat(d)
+    return text + _within(d) + _by_feed(d) + _by_heat(d)
 
 
 def rivals_of(m: Member, d: Diagnosis) -> list[str]:
@@ -320,6 +320,16 @@ def _within(d: Diagnosis) -> str:
     ]
     return (
         f". The proposed expression holds only in the range of these readings: {' and '.join(parts)}" if parts else ""
+    )
+
+
+def _by_feed(d: Diagnosis) -> str:
+    """The sentence on an effect of the feed alone: without velocities no effect of these was tested."""
+    if d.unknown is None or "feed_mm_min" not in d.unknown.channels:
+        return ""
+    return (
+        ". Effects of the velocity were not tested: these readings have a feed, and no velocity that changes. If the "
+        "axis was read in motion, write moves_at_feed = true under [table] of the measurement's TOML"
     )
 
 

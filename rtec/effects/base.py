@@ -107,10 +107,22 @@ def _of_axis(around: Surroundings, attribute: str, what: str) -> str:
     return _moved(around, str(getattr(around.axis, attribute)), f"{what} of {around.axis.name}")
 
 
+def _velocity(around: Surroundings) -> str:
+    """As `_of_axis`, with the way on where only the feed was recorded: it does not say whether the axis moved."""
+    said = _of_axis(around, "velocity_channel", "the velocity")
+    if not said or around.axis is None or "feed_mm_min" not in around.channels:
+        return said
+    name = around.axis.name
+    return (
+        f"{said}; the feed changes, but does not say whether {name} was read in motion: if it was, write moves_at_feed "
+        f"= true under [table] of the measurement's TOML, or add the column v{around.axis.channel}_mm_s"
+    )
+
+
 DRIVES: dict[str, Callable[[Surroundings], str]] = {
     "position": lambda a: _of_axis(a, "channel", "the position"),
     "direction": lambda a: _of_axis(a, "direction_channel", "the direction"),
-    "velocity": lambda a: _of_axis(a, "velocity_channel", "the velocity"),
+    "velocity": _velocity,
     "acceleration": lambda a: _of_axis(a, "acceleration_channel", "the acceleration"),
     "since_reversal": lambda a: _of_axis(a, "since_reversal_channel", "the distance since a reversal"),
     "temperature": lambda a: "" if a.sensors else "no temperature varies",

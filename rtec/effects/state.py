@@ -101,6 +101,11 @@ class State:
             return (
                 f"; it comes from a column {name[0]}{axis.channel}_{unit} (a feed does not say whether the axis moved)"
             )
+        if name in self.machine.sensor_names:
+            return (
+                f"; add a column {name}_degc to the file, 20.0 in every row where it was not logged (rtec import "
+                f"--answer {name}_degc=20 writes it), but effects of that temperature can then not be tested"
+            )
         return nearest(name, self.channels)
 
     def _direction(self, axis: Axis) -> Floats:

@@ -163,23 +163,38 @@ def held_out(whitener: Weights, columns: Floats, scale: Floats | None = None) ->
     return HeldOut(lost, float(np.average(squares, weights=sizes)), np.array(squares), folded)
 
 
-def held_out_gain(whitener: Weights, base: Floats, columns: Floats) -> tuple[float, float]:
+def held_out_gain(whitener: Weights, base: Floats, columns: Floats, kept: Floats | None = None) -> tuple[float, float]:
     """Improvement on held-out runs by columns, (m, k), beside a base, (m, p).
+
+    Args:
+        whitener: the weights.
+        base: columns of the current model; their coefficients are refitted to the other folds.
+        columns: further columns.
+        kept: prediction of the current model with the numbers that it has from other readings, (m,). Then the better of
+            both counts, without and with the columns: few runs determine a number that changes from run to run badly.
 
     Returns:
         Relative fall of the mean square, and mean gain of the folds in whitened squares.
     """
-    runs = _HeldOutRuns(whitener, np.concatenate([base, columns], axis=1))
-    (without, before), (with_it, after) = (runs.errors(p) for p in (base.shape[1], base.shape[1] + columns.shape[1]))
+    ways = [(_HeldOutRuns(whitener, np.concatenate([base, columns], axis=1)), base.shape[1])]
+    if kept is not None:
+        setup = whitener.readings.setup
+        ways.append((_HeldOutRuns(whitener, np.concatenate([setup, columns], axis=1), kept), setup.shape[1]))
+
+    def best(more: int) -> tuple[Floats, Floats]:
+        return min((runs.errors(width + more) for runs, width in ways), key=lambda e: float(e[1] @ e[1]))
+
+    (without, before), (with_it, after) = best(0), best(columns.shape[1])
     return 1.0 - float(after @ after) / max(float(before @ before), 1e-300), float(np.mean(without - with_it))
 
 
 class _HeldOutRuns:
     """Normal equations of each fold, for fits of the first columns, any number of them, to all other folds."""
 
-    def __init__(self, whitener: Weights, columns: Floats) -> None:
+    def __init__(self, whitener: Weights, columns: Floats, less: Floats | None = None) -> None:
         self.readings = readings = whitener.readings
-        white, self.target = whitener(columns), whitener(readings.values)
+        self.values = readings.values if less is None else readings.values - less
+        white, self.target = whitener(columns), whitener(self.values)
         norm = np.sqrt(np.einsum("ij,ij->j", white, white))
         norm = np.where(norm > 0, norm, 1.0)
         white, self.plain = white / norm, columns / norm
@@ -198,7 +213,7 @@ class _HeldOutRuns:
         for i, (r, part) in enumerate(zip(self.rows, self.parts, strict=True)):
             error = self.target[r] - part[:, :width] @ values[i]
             lost[i] = float(error @ error)
-            left[r] = self.readings.values[r] - self.plain[r, :width] @ values[i]
+            left[r] = self.values[r] - self.plain[r, :width] @ values[i]
         return lost, without_nuisance(self.readings, left)
 
 

@@ -169,15 +169,18 @@ class ChangedNumber:
     error: float
 
 
-def changed_numbers(model: Model, readings: Readings) -> tuple[tuple[ChangedNumber, ...], tuple[FittedEffect, ...]]:
+def changed_numbers(
+    model: Model, readings: Readings, beside: Sequence[FittedEffect] = ()
+) -> tuple[tuple[ChangedNumber, ...], tuple[FittedEffect, ...]]:
     """Numbers of a model that have changed since the readings that it was fitted to; and its effects with them.
 
     Args:
         model: with standard errors; a number without one is known too little to have changed.
         readings: other ones.
+        beside: effects that are fitted with it, their coefficients zero.
     """
-    fit = joint_fit(model.effects, readings, earlier=model)
-    return changed_between(model, fit), fit.effects
+    fit = joint_fit((*model.effects, *beside), readings, earlier=model)
+    return changed_between(model, fit), fit.effects[: len(model.effects)]
 
 
 def changed_between(model: Model, fit: Joint) -> tuple[ChangedNumber, ...]:

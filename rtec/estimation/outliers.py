@@ -55,6 +55,8 @@ MOST_WILD = 0.1
 """With wild bursts: more than this share."""
 ROUNDS = 4
 """Number of fits of the smooth part; wrong readings bend it, so far ones get less weight in the next fit."""
+LINE = 8
+"""Fewest readings of a way that get a line of their own."""
 REACH = 5
 AROUND, SHORT = 21, 14
 QUARTILE, QUARTILE_SIGMA = 0.75, 1.1503
@@ -190,16 +192,17 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
         near, anyway, starts = *_near_places(readings, s), _first_of_ways(readings, s)
     linked = _linked(s)
     rough = _rough(readings, s, values, linked)
-    rough = rough - _of_visits(rough, place)
+    flat = values if still else _without_slopes(readings, s, values)
+    rough, flat = (r - _of_visits(r, place) for r in (rough, flat))
     spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
     least = max(SMALL * spread, HALF * _display_step(values), 1e-9)
-    off, wrong, far = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    kinds = [_Kind(REACH, 1, BURST), _Kind(LONG_REACH, 2, LONG_BURST)]
-    kinds += [] if still else [_Kind(GROSS_REACH, 2, GROSS_BURST, wild=True)]
-    for kind in kinds:
+    off, (wrong, far, before) = np.zeros(n), (np.zeros(n, dtype=bool) for _ in range(3))
+    kinds = [(rough, _Kind(REACH, 1, BURST)), (rough, _Kind(LONG_REACH, 2, LONG_BURST))]
+    kinds += [] if still else [(rough, _Kind(GROSS_REACH, 2, GROSS_BURST, wild=True)), (flat, _Kind(REACH, 1, 1))]
+    for seen, kind in kinds:
         for _ in range(ROUNDS):
-            known = np.where(wrong, np.nan, rough)
-            off = rough - neighbours(known, rough, linked, kind.reach)
+            known = np.where(wrong, np.nan, seen)
+            off = seen - neighbours(known, seen, linked, kind.reach)
             sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), least)
             found = _bursts(off, known, _sigmas(off, sigma, s.run, wrong, kind), linked, near, still, kind)
             if not still:
@@ -210,6 +213,10 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
             if not found.any():
                 break
             wrong |= found
+        if seen is rough:
+            before = wrong.copy()
+    alone = wrong & ~before
+    wrong &= ~alone | (np.bincount(place[wrong], minlength=n)[place] < 2)  # twice at a place: the machine
     most = MOST_WILD if far.any() and float(np.median(np.abs(off[far]))) > GROSS * sigma else MOST
     few = far.sum() <= max(most * n, FEW) and wrong.sum() <= max(MOST_WILD * n, FEW)
     return np.where(wrong & few, off, np.nan)
@@ -269,6 +276,32 @@ def _rough(readings: Readings, s: Series, values: Floats, linked: Ints) -> Float
         out = flat[:, -1] - flat[:, :-1] @ solve(flat[:, :-1] * root, flat[:, -1] * root[:, 0])
         sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(out))), 1e-12)
         weight = 1.0 / (1.0 + (out / (NEAR * sigma)) ** 2)
+    return out
+
+
+def _without_slopes(readings: Readings, s: Series, values: Floats) -> Floats:
+    """Values less a robust straight line over the place for each way of the only axis that moves, (n,).
+
+    A screw that grows gives every way a slope of its own, and the end of a way would be far from its neighbours.
+    """
+    moving = _moving(readings, s)
+    if len(moving) != 1:
+        return values
+    axis = readings.machine.axes[moving[0][0]]
+    at = readings.poses_mm[s.source][s.row, moving[0][0]]
+    way = np.sign(readings.states[s.source].value(axis.direction_channel)[s.row])
+    edges = np.flatnonzero(np.concatenate([[True], (np.diff(way) != 0) | (np.diff(s.run) != 0), [True]]))
+    out = values.copy()
+    for a, b in itertools.pairwise(edges.tolist()):
+        if b - a >= LINE and np.ptp(at[a:b]) > STILL_MM:
+            line = np.stack([np.ones(b - a), (at[a:b] - at[a:b].mean()) / np.ptp(at[a:b])], axis=1)
+            weight, left = np.ones(b - a), values[a:b]
+            for _ in range(ROUNDS):
+                root = np.sqrt(weight)
+                left = values[a:b] - line @ np.linalg.lstsq(line * root[:, None], values[a:b] * root, rcond=None)[0]
+                sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(left))), 1e-12)
+                weight = 1.0 / (1.0 + (left / (NEAR * sigma)) ** 2)
+            out[a:b] = left
     return out
 
 

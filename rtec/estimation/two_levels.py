@@ -87,7 +87,7 @@ def _of(readings: Readings, number: int, left: Floats) -> TwoLevels | None:
     heights = np.array([np.median(v) for v in values])
     scatter = 1.4826 * float(np.median(np.abs(np.concatenate([v - h for v, h in zip(values, heights, strict=True)]))))
     high, ratio = _split(heights)
-    if not high.any():  # a coarse display shows the same in all runs
+    if not high.any():
         return None
     gap = float(heights[high].mean() - heights[~high].mean())
     changes = int(np.count_nonzero(high[1:] != high[:-1]))

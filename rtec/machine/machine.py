@@ -73,6 +73,11 @@ class Machine:
             raise ConfigError(f"the machine has no sensor {name!r}{nearest(name, self.sensor_names)}")
         return self.sensor_names.index(name)
 
+    def of_another_axis(self, sensor: str, axis: str) -> bool:
+        """Whether the name of a sensor says that it is at another axis: `T_z_nut`, for X."""
+        named = {w.upper() for w in sensor.split("_")[1:]} & {a.name.upper() for a in self.axes}
+        return bool(named) and axis.upper() not in named
+
     @property
     def moving_channels(self) -> tuple[str, ...]:
         """Names of the channels that change from cycle to cycle, axis by axis."""

@@ -192,12 +192,14 @@ def _beside(r: Improved, verdict: str) -> str:
 
 
 def _last_verdict(r: Improved) -> str:
-    """The verdict of the last diagnosis; an effect that is too small is named as such."""
-    verdict = sentence(_beside(r, r.diagnoses[-1].sentence))
-    if r.reason not in ("no_gain", "narrow_range"):
-        return verdict
-    small = r.reason == "no_gain" and not r.cancelling
-    return f"{'Too small to be' if small else 'Not'} added: {verdict}"
+    """The verdict of the last diagnosis; an effect that was tried and not added is named as that.
+
+    What the diagnosis says of the error on held-out runs is of smoothed temperatures and of its own weights.
+    """
+    last = r.diagnoses[-1]
+    if r.reason not in ("no_gain", "narrow_range") or not last.findings:
+        return sentence(_beside(r, last.sentence))
+    return f"Not added: {last.findings[0].label}, which `rtec diagnose` names first."
 
 
 def history_page(h: History, figures: bool = True) -> Page:

@@ -342,7 +342,7 @@ def _foreign_sections(view: ImportView, zoom: "Zoom") -> "list[Section]":
     from rtec.wording import counted
 
     p = view.proposal
-    column = {str(c["from"]): (t, c) for t, c in p.content.get("column", {}).items()}
+    column = {str(c["from"]): (t, c) for t, c in p.content.get("column", {}).items() if "from" in c}
     rows = []
     for c in p.columns:
         target, entry = column.get(c.name, (c.becomes or "not used", {}))

@@ -118,6 +118,17 @@ def test_an_improvement_prints_the_diagnosis_that_ended_it() -> None:
     assert "see the last" not in lead
 
 
+def test_what_depends_on_the_feed_alone_may_be_an_effect_of_the_velocity() -> None:
+    """Oracle: no velocity beside the feed, so that no effect of it was tried; the key lets them be."""
+    feed = Unknown("straightness", ("feed_mm_min",), "smooth", None, 0.001, 0.8)
+    found = finding(CURVE, accepted=False)
+    said = answer("unknown_effect", found, unknown=feed, adequacy=None).sentence
+    assert "Effects of the velocity were not tested" in said
+    assert "write moves_at_feed = true under [table]" in said
+    other = answer("unknown_effect", found, unknown=replace(feed, channels=("x",)), adequacy=None).sentence
+    assert "moves_at_feed" not in other
+
+
 def test_a_step_is_no_smooth_dependence() -> None:
     step = Unknown("laser", ("x",), "smooth", None, 0.001, 0.8, where="a step at X ≈ 64.0 mm")
     said = answer("unknown_effect", finding(CURVE, accepted=False), unknown=step, adequacy=None).sentence

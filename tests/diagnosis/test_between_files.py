@@ -1,12 +1,16 @@
 """Two days between which the machine changed. Oracle: what was put in, which no temperature drives."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.result import Diagnosis
+from rtec.diagnosis.search.diagnose import Search, diagnose, instead_of_files
+from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support.diagnosis_examples import effects, laser, small_machine
@@ -95,3 +99,48 @@ def test_days_alike_that_differ_contradict_each_other_though_both_warmed() -> No
     assert "although every other recorded channel took much the same values in both" in d.sentence
     assert d.sentence.endswith("If the machine changed between them, diagnose the newer file alone.")
     assert "turned" not in d.sentence
+
+
+class Between:
+    """A search that found something that explains only differences between files, and another without it."""
+
+    def __init__(self, drop: float, other: Diagnosis) -> None:
+        self.model, self.other = Model(small_machine(), (), name="m"), other
+        self.between, self.refits = [(drop, frozenset({"x", "T_bed"}))], SimpleNamespace(given={"T_bed", "T_air"})
+        self.left_out: set[str] = set()
+
+    def without(self, channels: Collection[str]) -> "Between":
+        self.left_out = set(channels)
+        return self
+
+    def diagnosis(self) -> Diagnosis:
+        return self.other
+
+
+def test_what_explains_more_without_the_temperatures_is_named_instead() -> None:
+    """Oracle: the shares that were written here; an angle removes 43 %, two beams at two offsets show it."""
+    tilt = "angular_motion,component=EBX,axis=X,c2=0,c3=30"
+    beams = [laser([tilt], 3), laser([tilt], 4, setup={"beam_offset_mm": [0.0, 0.0, 100.0]})]
+    angle = diagnose(Model(small_machine(), (), name="m"), beams, draws=50)
+    assert angle.group
+    doubt = Doubt("between_files", "It explains only what differs.", "", fatal=True)
+    doubted = replace(angle, doubts=(doubt,), sentence="in doubt")
+    drop = angle.findings[0].heldout_drop
+    less, more = Between(drop - 0.01, angle), Between(drop + 0.01, angle)
+    assert instead_of_files(less, doubted) is angle  # type: ignore[arg-type]
+    assert less.left_out == {"T_bed", "T_air"}
+    assert instead_of_files(more, doubted) is doubted  # type: ignore[arg-type]
+    nothing = replace(angle, findings=())
+    assert instead_of_files(Between(0.0, nothing), doubted) is doubted  # type: ignore[arg-type]
+    assert instead_of_files(less, nothing) is nothing  # type: ignore[arg-type]
+
+
+def test_the_second_search_has_nothing_that_reads_them() -> None:
+    search = Search(
+        Model(small_machine(), (), name="m"), clean([laser([], 3)]), 1, 0.05, 50, None, False, lambda *_: None
+    )
+    other = search.without({"T_bed", "T_air"})
+    read = {c for e in other.candidates for c in e.effect.channels(small_machine())}
+    assert read
+    assert not read & {"T_bed", "T_air"}
+    assert len(other.candidates) < len(search.candidates)

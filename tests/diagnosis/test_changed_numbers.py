@@ -11,6 +11,8 @@ import pytest
 from rtec.cli.main import status
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.joint import changed_numbers
+from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
 from tests.support.diagnosis_examples import effects, laser, small_machine, write_laser, write_machine
@@ -49,6 +51,18 @@ def test_a_machine_that_has_not_changed_is_not_said_to_have(seed: int) -> None:
     d = diagnose(known(), [today(seed, (*KNOWN, hidden))], draws=50, explain=True)
     assert d.findings[0].accepted
     assert not d.changed
+
+
+def test_a_number_that_made_up_for_what_is_missing_has_not_changed() -> None:
+    """Oracle: what was hidden: an angle that grows, at two beams; alone, the scale error seems to have changed."""
+    bent = (*KNOWN, "guide_curvature,component=EBX,axis=X,k=150")
+    beams = [laser(list(bent), 4), laser(list(bent), 5, setup={"beam_offset_mm": [0.0, 0.0, 100.0]})]
+    alone = changed_numbers(known(), clean(beams).without_ends().readings)[0]
+    assert "scale(EXX, X)" in [c.effect for c in alone]
+    d = diagnose(known(), beams, draws=50, explain=True)
+    assert d.findings[0].effect.effect == "guide_curvature"
+    assert d.findings[0].accepted
+    assert "scale(EXX, X)" not in [c.effect for c in d.changed]
 
 
 def test_the_next_command_refits_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

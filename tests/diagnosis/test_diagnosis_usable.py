@@ -209,7 +209,8 @@ def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytes
     assert (result.reason, result.steps, result.diagnoses[-1].findings[0].accepted) == ("no_gain", (), True)
     page = improved_page(result, figures=False)
     for said in (page.lead, *page.sections[-1].text):
-        assert "Too small to be added: " in said
+        assert f"Not added: {result.diagnoses[-1].findings[0].label}, which `rtec diagnose` names first." in said
+        assert "and adding it removes" not in said
 
 
 def test_ctrl_c_says_what_is_written(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 Oracle: what the generator put in, without noise, on another day.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,13 +13,14 @@ from numpy.typing import NDArray
 from rtec.characterise import characterise
 from rtec.diagnosis.extend.improve import Improved, improve
 from rtec.effects import effect_class
+from rtec.effects.effect_list import read_wanted
 from rtec.errors import ModelError
 from rtec.estimation.columns import base_of
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import read
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from tests.support.diagnosis_examples import laser
+from tests.support.diagnosis_examples import laser, read_by
 from tests.support.warming import Warming, warming
 
 
@@ -108,3 +110,24 @@ def test_fit_of_few_runs_says_that_they_are_few() -> None:
     many = laser(["backlash,component=EXX,axis=X,B=0.1"], 5)
     with pytest.raises(ModelError, match=r"2 blocks of readings are too few to choose among \d+ effects"):
         characterise([part(many, many.run < many.run[0] + 3)])
+
+
+@pytest.mark.parametrize(
+    ("name", "setup", "first"),
+    [
+        ("laser_linear", {}, ["scale(EXX, X)", "backlash(EXX, X)"]),
+        ("straightness", {"direction": "Z"}, ["straightness(EZX, X)"]),
+        ("laser_angular", {"about": "B"}, ["angular_motion(EBX, X)"]),
+        ("level", {"about": "B"}, ["angular_motion(EBX, X)"]),
+    ],
+)
+def test_fit_of_few_runs_names_a_first_model(name: str, setup: dict[str, str], first: list[str]) -> None:
+    """Oracle: the words that it proposes, typed; a newcomer had no model to begin with."""
+    many = read_by(name, [], 5, "X", setup)
+    few = part(many, many.run < many.run[0] + 5)
+    with pytest.raises(ModelError, match="for a choice measure at least 8 runs") as caught:
+        characterise([few])
+    typed = re.search(r"add --effects (\S+), fitted without a choice", str(caught.value))
+    assert typed is not None
+    made = characterise([few], wanted=read_wanted(typed[1], few.machine))
+    assert [f.label for f in made.model.effects] == first

@@ -19,9 +19,10 @@ from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Member
 from rtec.diagnosis.search.answer import _Answer
 from rtec.diagnosis.search.confounded import alike, bent_part
-from rtec.diagnosis.search.diagnose import diagnose, leaner_first
+from rtec.diagnosis.search.diagnose import Search, diagnose, leaner_first
 from rtec.effects import effect_class
 from rtec.estimation.candidates import library
+from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
@@ -31,7 +32,7 @@ from rtec.sim.campaign.truth import effect_from_text
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build as generated
 from tests.discovery.translate import base_model, measurement_of
-from tests.support.diagnosis_examples import TABLE, laser, small_machine
+from tests.support.diagnosis_examples import TABLE, laser, read_by, small_machine
 
 Floats = NDArray[np.float64]
 Channels = Mapping[str, Floats]
@@ -316,3 +317,27 @@ def test_of_sensors_that_predict_alike_the_effect_of_fewer_numbers_is_first() ->
     assert first(plain, late) is plain
     assert first(late, same, place) is late
     assert first(late, faint) is late
+    # A law by the speed knows nothing of the hours before the record; one that follows it at once needs no hours.
+    warming, at_once = (
+        fitted(True, 0.982, "spindle_rpm", evidence=60.0),
+        fitted(False, 0.982, "spindle_rpm", evidence=60.0),
+    )
+    assert first(warming, plain) is plain
+    assert first(warming, poor) is warming
+    assert first(warming, fitted(True, 0.982, "T_bed")) is warming
+    assert first(at_once, plain) is at_once
+
+
+@pytest.mark.parametrize(("instrument", "setup", "led_by"), [
+    ("straightness", {"direction": "Z"}, "straightness"), ("level", {"about": "B"}, "angular_motion"),
+])  # fmt: skip
+def test_of_one_shape_what_is_read_directly_leads(instrument: str, setup: dict[str, str], led_by: str) -> None:
+    """Oracle: what the instrument reads: a shift along Z, or an angle; both laws have one shape in the readings."""
+    m = read_by(instrument, ["angular_motion,component=EBX,axis=X,c2=30,c3=0"], 3, setup=setup)
+    search = Search(Model(small_machine(), (), name="m"), clean([m]), 1, 0.05, 50, None, False, lambda *_: None)
+    found = search.refits.refitted(search.refits.weigh_all(search._projected), search.refits.weigh_without_drift())
+    names = {t.number: search.candidates[t.number].effect.effect for t in found}
+    angle = next(t for t in found if names[t.number] == "angular_motion")
+    ordered = search._direct_first([angle, *(t for t in found if t is not angle)])
+    assert names[ordered[0].number] == led_by
+    assert set(map(id, ordered)) == set(map(id, found))

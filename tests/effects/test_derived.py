@@ -159,6 +159,9 @@ def test_a_state_derives_directions_and_lags() -> None:
     np.testing.assert_array_equal(state.value("time_s"), np.arange(5.0))
     with pytest.raises(ModelError, match="channel 'T_bad' is not in this data; did you mean 'T_bed'"):
         state.value("T_bad")
+    way = "'T_bed' is not in this data; add a column T_bed_degc .* --answer T_bed_degc=20 .* can then not be tested"
+    with pytest.raises(ModelError, match=way):
+        State(m, np.arange(5.0), {"x": x}).value("T_bed")
     with pytest.raises(ModelError, match="channel 'd_z' is not in this data"):
         state.value("d_z")
 

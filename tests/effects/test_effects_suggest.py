@@ -107,6 +107,18 @@ def test_a_channel_that_does_not_vary_is_not_read(machine: Machine, component: s
             assert EFFECTS[name].missing(around), f"{name} without {channel}"
 
 
+def test_a_feed_without_a_velocity_names_the_way_on() -> None:
+    """Oracle: the key of the TOML and the column; a feed alone does not say that the axis moved while it was read."""
+    axis = LATHE.axes[0]
+    none = offered(LATHE, f"EY{axis.name}", (axis.velocity_channel,))
+    feed = replace(none, channels={**none.channels, "feed_mm_min": (500.0, 8000.0)})
+    without, with_feed = (EFFECTS["guide_lift"].missing(around) for around in (none, feed))
+    assert without == f"the velocity of {axis.name} never changes, or was not recorded"
+    assert with_feed.startswith(without)
+    assert "moves_at_feed = true under [table]" in with_feed
+    assert with_feed.endswith(f"or add the column v{axis.channel}_mm_s")
+
+
 def states(machine: Machine, n: int = 400) -> State:
     rng = np.random.default_rng(11)
     channels = {n_: rng.uniform(5.0, 395.0, n) for a in machine.axes for n_ in (a.channel, a.since_reversal_channel)}

@@ -70,3 +70,17 @@ def test_held_out_runs_are_those_that_the_fit_did_not_see() -> None:
     assert drop == pytest.approx(1.0 - np.mean(with_it**2) / np.mean(without**2), rel=1e-6)
     assert gain == pytest.approx(np.mean(np.array(lost) - less), rel=1e-6)
     assert held_out(noise(), BASE).square == pytest.approx(np.mean(without**2), rel=1e-6)
+    # With numbers that are known better than these readings tell, the better of both counts, without and with.
+    kept = READINGS.values - 1e-3 * MORE[:, 0] + 0.1 * np.sin(X)
+    whole = held_out_gain(noise(), BASE, MORE, kept)[0]
+    target, known = noise()(READINGS.values - kept), []
+    for columns in (READINGS.setup, np.concatenate([READINGS.setup, MORE], axis=1)):
+        white, left = noise()(columns), np.empty(len(READINGS))
+        for fold in np.unique(READINGS.fold):
+            mine = READINGS.fold == fold
+            values = np.linalg.lstsq(white[~mine], target[~mine], rcond=None)[0]
+            left[mine] = (READINGS.values - kept)[mine] - columns[mine] @ values
+        known.append(float(np.mean(without_nuisance(READINGS, left) ** 2)))
+    least = min(known[1], float(np.mean(with_it**2))), min(known[0], float(np.mean(without**2)))
+    assert least[0] == known[1]
+    assert whole == pytest.approx(1.0 - least[0] / least[1], rel=1e-6)

@@ -263,3 +263,28 @@ def test_failed_homings_of_a_gantry(name: str, count: int) -> None:
     assert np.isfinite(off).sum() == count
     if count:
         assert np.nanmax(np.abs(off)) == pytest.approx(4300.0, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_wrong_readings_of_a_machine_that_warms_up_are_found(seed: int) -> None:
+    """Oracle: the rows made wrong by 23 times the noise; each way has a slope of its own, up to 45 µm in all."""
+    growth = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=40"
+    m = laser(
+        [
+            growth,
+            "backlash,component=EXX,axis=X,B=4",
+            "cyclic_screw,component=EXX,axis=X,harmonics=1,s1=1,c1=0,pitch=5",
+        ],
+        seed,
+    )
+    assert not found(m)
+    rows = [70 + seed, 200 + 3 * seed, 333, 501 - seed]
+    assert found(spoilt(m, rows, [7.0, -7.0, 7.0, -7.0])) == rows
+
+
+def test_what_one_place_does_on_two_days_is_the_machine() -> None:
+    """A chip at one target in one direction, of another size each time: no mistake of reading."""
+    m = laser(["axis_expansion,component=EXX,axis=X,sensor=T_bed,k=40"], 3)
+    way, place = np.sign(m.channels["x"] - np.roll(m.channels["x"], 1)), m.channels["x"]
+    there = np.flatnonzero((np.abs(place - np.unique(place)[6]) < 0.01) & (way > 0))
+    assert not found(spoilt(m, there[[3, 6, 9, 12]].tolist(), [3.3, 5.4, 2.5, 5.8]))

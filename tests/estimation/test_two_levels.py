@@ -83,3 +83,9 @@ def test_runs_that_scatter_stand_at_no_level() -> None:
 
 def test_a_zero_of_each_run_hides_the_levels() -> None:
     assert not found(raised(laser(TRUTH, 3, setup={"zero": "run"}), HIGH, 4.0))
+
+
+def test_runs_that_read_the_same_are_at_no_level() -> None:
+    """A display that is stuck, or coarser than anything that happens."""
+    m = laser(TRUTH, 3)
+    assert not found(replace(m, readings={"reading_um": np.zeros(len(m))}))

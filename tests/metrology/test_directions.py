@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtec.errors import MeasurementError
 from rtec.metrology.files.load import load_measurement
 from rtec.metrology.measurement import Measurement
 from tests.support.measurement_examples import TOML, machine
@@ -135,6 +136,60 @@ def test_an_axis_that_keeps_its_feed_between_readings_was_read_on_the_run(tmp_pa
         assert m.channels["v_x"].tolist() == [10.0] * 6 + [-10.0] * 6 + [50.0] * 6 + [-50.0] * 6
         assert m.channels["d_x"].tolist() == [1.0] * 6 + [-1.0] * 6 + [1.0] * 6 + [-1.0] * 6
         assert sum("went at its feed while it was read" in n for n in m.notes) == 1
+
+
+@pytest.mark.parametrize("stops_s", [0.0, 2.0])
+def test_a_straightness_probe_on_the_run_has_the_velocity_of_the_feed(tmp_path: Path, stops_s: float) -> None:
+    """Oracle: the times that the motion takes; a probe that stopped, or not, has no known velocity."""
+    rows, now = [], 0.0
+    for feed in (600.0, 3000.0):
+        for x in TARGETS:
+            rows.append(f"1,{now:.3f},{x},{feed}")
+            now += 10.0 * 60.0 / feed + stops_s
+        now += 5.0
+    m = written(tmp_path, "run,time_s,x_mm,feed_mm_min", rows, STRAIGHTNESS)
+    assert ("v_x" in m.channels, m.state().has("v_x")) == (not stops_s, not stops_s)
+    if not stops_s:
+        assert m.channels["v_x"].tolist() == [10.0] * 6 + [50.0] * 6
+
+
+MOVES = "[table]\nmoves_at_feed = true\n"
+
+
+@pytest.mark.parametrize("toml", [TOML, STRAIGHTNESS])
+@pytest.mark.parametrize("given", [False, True])
+def test_the_user_may_say_that_the_axis_moved_at_its_feed(tmp_path: Path, toml: str, given: bool) -> None:
+    """Oracle: the walk with its overruns; the times are of no use, 2.5 s from each reading to the next."""
+    names, way = "run,time_s,x_mm,feed_mm_min" + ",dir_x" * given, walked(THERE_AND_BACK, 5.0)
+    feeds = [600.0] * 12 + [3000.0] * 12
+    rows = [f"{1 + i // 12},{2.5 * i},{x},{feeds[i]}" + f",{way[i]}" * given for i, x in enumerate(THERE_AND_BACK)]
+    silent = written(tmp_path, names, rows, toml)
+    assert "v_x" not in silent.channels
+    m = written(tmp_path, names, rows, toml + MOVES)
+    assert m.channels["v_x"].tolist() == [d * f / 60.0 for d, f in zip(way, feeds, strict=True)]
+    assert m.channels["d_x"].tolist() == way
+    assert "no column vx_mm_s: the feed in the direction of motion, as moves_at_feed says" in m.notes
+
+
+def test_a_feed_in_no_known_order_goes_as_the_positions(tmp_path: Path) -> None:
+    """Oracle: the order of the positions; the first reading has the direction of the first motion."""
+    rows = [f"1,{2.5 * i},{x},600" for i, x in enumerate([0.0, 0.0, 20.0, 50.0, 35.0, 10.0])]
+    m = written(tmp_path, "run,time_s,x_mm,feed_mm_min", rows, STRAIGHTNESS + MOVES)
+    assert m.channels["v_x"].tolist() == [10.0, 10.0, 10.0, 10.0, -10.0, -10.0]
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "said"),
+    [
+        ("", "", "moves_at_feed = true needs the column feed_mm_min"),
+        (",feed_mm_min,vx_mm_s", ",600,3", "but the velocity of X has a column"),
+        (",feed_mm_min,z_mm", ",600,{i}", "here X and Z moved; give the column"),
+    ],
+)
+def test_a_feed_that_tells_no_velocity_is_refused(tmp_path: Path, names: str, row: str, said: str) -> None:
+    rows = [f"1,{2.5 * i},{x}{row.format(i=i)}" for i, x in enumerate(TARGETS)]
+    with pytest.raises(MeasurementError, match=said):
+        written(tmp_path, f"run,time_s,x_mm{names}", rows, STRAIGHTNESS + MOVES)
 
 
 def test_numbers_as_large_as_a_file_can_hold_say_nothing(tmp_path: Path) -> None:

@@ -263,7 +263,11 @@ def test_run_numbers_are_integers(tmp_path: Path) -> None:
     [
         ({"colum": {}}, "unknown key 'colum'; did you mean 'column'"),
         ({"column": {"x_mm": {"frm": "x"}}}, "[column.x_mm] unknown key 'frm'; did you mean 'from'"),
-        ({"column": {"x_mm": {"from": None}}}, "key 'from' is missing"),
+        ({"column": {"x_mm": {"from": None}}}, "give either from, a column of the file, or value"),
+        ({"column": {"x_mm": {"value": 1.0}}}, "give either from, a column of the file, or value"),
+        ({"column": {"z_mm": {"value": 1.0, "scale": 2.0}}}, "value stands alone, or with unit; scale belongs to from"),
+        ({"column": {"z_mm": {"value": 1.0, "unit": "s"}}}, "[column.z_mm] s is a unit of time, mm of length"),
+        ({"column": {"reading_um": {"from": None, "unit": None, "value": 1.0}}}, "a reading comes from a column"),
         ({"column": {"x_mm": {"from": "y"}}}, "there is no column 'y'"),
         ({"column": {"x_mm": {"unit": "parsec"}}}, "unit 'parsec' is not known"),
         ({"column": {"x_mm": {"unit": "s"}}}, "[column.x_mm] s is a unit of time, mm of length"),

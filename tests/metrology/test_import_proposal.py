@@ -347,7 +347,8 @@ def test_a_nut_named_by_its_axis_is_no_position(
     np.testing.assert_array_equal(np.asarray(columns["run"]), [1 + i // 11 for i in range(66)])
     for name, values in (("time_s", t), ("x_mm", x), ("reading_um", e), ("T_x_nut_degc", nut)):
         np.testing.assert_allclose(np.asarray(columns[name], dtype=np.float64), values, atol=2e-5)
-    assert {"T_air_degc", "z_mm"} & set(columns) == {"T_air_degc"}
+    assert "T_air_degc" in columns
+    assert p.content["column"]["z_mm"] == {"value": 0.0}
 
 
 def test_hot_temperatures_without_a_unit_are_asked_about(tmp_path: Path) -> None:
@@ -357,6 +358,102 @@ def test_hot_temperatures_without_a_unit_are_asked_about(tmp_path: Path) -> None
     assert [(q.key, q.default) for q in p.open] == [("unit of T_x_nut", None)]
     column = p.answered({"unit of T_x_nut": "°F"}).import_map().column["T_x_nut_degc"]
     assert column.unit == "degf"
+
+
+@pytest.mark.parametrize("answer", ["degf", "degF", "DEGF", "°F", "f", "Fahrenheit"])
+def test_a_unit_may_be_answered_as_the_map_writes_it(answer: str, tmp_path: Path) -> None:
+    """Oracle: the aliases of the unit; 68 °F are 20 °C. Where the name tells the unit, an answer may repeat it."""
+    table = "t s;Pos X mm;dev um;T_x_nut\n" + "".join(f"{i};{i};{i % 7};68\n" for i in range(40))
+    p = proposed(tmp_path, table, {"instrument": "laser_linear", "unit of T_x_nut": answer})
+    with pytest.raises(MeasurementError, match="unit of T_x_nut: 'degR' is not possible"):
+        p.answered({"unit of T_x_nut": "degR"})
+    assert np.allclose(np.asarray(import_table(p.path, p.import_map()).columns["T_x_nut_degc"], dtype=np.float64), 20.0)
+    named = {"instrument": "laser_linear", "unit of X nut F": answer}
+    assert proposed(tmp_path, in_fahrenheit(rows()), named).import_map().column["T_x_nut_degc"].unit == "degf"
+
+
+LASER = "t s;Pos X mm;dev um;pitch arcsec\n" + "".join(f"{i};{i};{i % 7};{i % 5}\n" for i in range(40))
+AT = {"instrument": "laser_linear", "reading": "dev um"}
+
+
+def test_where_another_axis_stood_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the answer, in the map, in the measurement, and again by the map alone.
+
+    A table of a multi-axis laser has no column of the other axes. They were at 0 without a question, so that lever arms
+    were wrong.
+    """
+    p = proposed(tmp_path, LASER, AT)
+    question = next(q for q in p.questions if q.key == "z_mm")
+    assert (question.text, question.default) == ("Where did axis Z stand, in mm?", "0")
+    said = "assumed on import, not known: Where did axis Z stand, in mm? 0"
+    assert said in p.content["measurement"]["notes"]
+    given = p.answered({"z_mm": "180"})
+    assert given.content["column"]["z_mm"] == {"value": 180.0}
+    assert said not in given.content["measurement"]["notes"]
+    command = ["import", str(p.path), "-m", str(TURNING)]
+    answers = [word for key, value in AT.items() for word in ("-a", f"{key}={value}")]
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert status([*command, *answers, "-a", "z_mm=180", "-o", str(one)]) == 0
+    assert "z_mm is 180 in every row" in capsys.readouterr().out
+    assert status([*command, "--map", f"{one}-map.toml", "-o", str(two)]) == 0
+    assert two.with_suffix(".csv").read_bytes() == one.with_suffix(".csv").read_bytes()
+    m = load_measurement(two, MACHINE)
+    assert np.all(m.channels["z"] == 180.0)
+    assert not [n for n in m.notes if "taken as fixed" in n]
+    # An answer beside a whole map is not dropped: it may repeat what the map says, and not contradict it.
+    again = [*command, "--map", f"{one}-map.toml", "-o", str(two), "--force"]
+    assert status([*again, "-a", "z_mm=180.0"]) == 0
+    assert status([*again, "-a", "z_mm=90"]) == 2
+    assert "'z_mm' is no question here: the file shows '180.0'" in capsys.readouterr().err
+
+
+def test_the_place_of_an_axis_is_asked_only_where_it_is_not_known(tmp_path: Path) -> None:
+    """Oracle: what each file or instrument has; 0 is assumed only where the axis can be there."""
+
+    def asked(table: str, answers: Mapping[str, str]) -> set[str]:
+        return {q.key for q in proposed(tmp_path, table, answers).questions} & {"x_mm", "y_mm", "z_mm"}
+
+    assert asked(LASER, AT) == {"z_mm"}
+    assert asked(LASER, {**AT, "component": "EXX"}) == set()
+    both, head = LASER.replace("pitch arcsec", "Pos Z mm"), {"instrument": "laser_linear", "axis": "X"}
+    assert asked(both, head) == set()
+    with pytest.raises(MeasurementError, match="'z_mm' is no question here: the file shows 'column Pos Z mm'"):
+        asked(both, {**head, "z_mm": "3"})
+    with pytest.raises(MeasurementError, match="z_mm: 'far' is no number; give it in mm"):
+        asked(LASER, {**AT, "z_mm": "far"})
+    text = TURNING.read_text(encoding="utf-8")
+    low, high = MACHINE.axis("Z").travel_mm
+    moved = text.replace(f"travel_mm = [{low}, {high}]", f"travel_mm = [{low + 50}, {high}]")
+    assert moved != text
+    (tmp_path / "moved.toml").write_text(moved, encoding="utf-8")
+    p = propose(put(tmp_path, LASER), load_machine(tmp_path / "moved.toml"), None, AT)
+    assert next(q.default for q in p.questions if q.key == "z_mm") == f"{low + 50:g}"
+
+
+def test_columns_that_are_edited_keep_the_places_of_the_axes(tmp_path: Path) -> None:
+    """Oracle: the studio edits the columns of the file alone."""
+    p = proposed(tmp_path, LASER, {**AT, "z_mm": "180"})
+    columns = {n: c for n, c in p.content["column"].items() if "from" in c}
+    assert p.with_columns(columns).content["column"]["z_mm"] == {"value": 180.0}
+    q = proposed(tmp_path, LASER, AT).with_columns({**columns, "z_mm": {"from": "pitch arcsec", "unit": "mm"}})
+    assert q.content["column"]["z_mm"]["from"] == "pitch arcsec"
+    assert "z_mm" not in [x.key for x in q.questions]
+    assert not [n for n in q.content["measurement"]["notes"] if "axis Z" in n]
+
+
+def test_a_temperature_that_was_not_logged_may_be_answered(tmp_path: Path) -> None:
+    """Oracle: the answer. Sensors that the file lacks are not asked about."""
+    p = proposed(tmp_path, LASER, AT)
+    assert not [q.key for q in p.questions if "degc" in q.key]
+    column = p.answered({"T_x_nut_degc": "20"}).content["column"]
+    assert column["T_x_nut_degc"] == {"value": 20.0}
+    with pytest.raises(MeasurementError, match="'T_xnut_degc' is no question here; did you mean 'T_x_nut_degc'"):
+        p.answered({"T_xnut_degc": "20"})
+    alone = propose(p.path, None, None, {**AT, "machine": "m", "z_mm": "180", "T_x_nut_degc": "20"})
+    assert {n: c for n, c in alone.content["column"].items() if "value" in c} == {
+        "z_mm": {"value": 180.0},
+        "T_x_nut_degc": {"value": 20.0},
+    }
 
 
 @pytest.mark.parametrize(

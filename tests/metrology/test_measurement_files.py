@@ -549,7 +549,7 @@ def test_an_axis_without_a_column_stands_still_and_is_told(tmp_path: Path) -> No
     lines = [",".join(r.split(",")[:3] + r.split(",")[4:]) for r in rows()]
     m = load_measurement(write(tmp_path, text(lines, HEADER.replace("z_mm,", ""))), machine())
     assert "z" not in m.channels
-    assert m.notes == ("no column z_mm: axis Z is taken as fixed at 0 mm",)
+    assert m.notes == ("no column z_mm: axis Z is taken as fixed at 0 mm; add the column if it stood elsewhere",)
 
 
 def test_a_missing_reading_is_saved_as_an_empty_cell(tmp_path: Path) -> None:

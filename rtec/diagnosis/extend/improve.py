@@ -280,6 +280,7 @@ class _Growth:
             explain=explain,
             stage=self.stage,
             given=self.given,
+            earlier=self.earlier is not None,
         )
 
     def takes_out(self, found: Diagnosis, model: Model, chosen: Finding | None = None) -> bool:

@@ -35,6 +35,8 @@ APART = 0.3
 
 INDIRECT = 0.4
 """Each step away from the direct component lowers the logarithm of the prior by this."""
+ELSEWHERE = math.log(10.0)
+"""A sensor that is named after another axis lowers the logarithm of the prior by this."""
 USUAL = math.log(10.0)
 """Factor by which coefficients scatter about the usual size."""
 
@@ -44,11 +46,19 @@ def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
 
     It orders what readings cannot separate. Of two names for one shape, the less likely is the one that would have to
     be a hundred times its usual size, or that reaches the readings less directly (an angle of another axis, times its
-    arm). It never exceeds a few units, so that readings overrule it.
+    arm), or that follows a sensor whose name says that it is at another axis. It never exceeds a few units, so that
+    readings overrule it.
     """
     usual = np.array([p.typical for p in effect.coefficients(machine)])
     ratio = float(np.max(np.abs(values) / usual, initial=1e-300))
-    return -min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0) - INDIRECT * directness(effect, machine)
+    size = min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0)
+    return -size - INDIRECT * directness(effect, machine) - ELSEWHERE * elsewhere(effect, machine)
+
+
+def elsewhere(effect: Effect, machine: Machine) -> bool:
+    """Whether an effect along an axis follows a sensor whose name says that it is at another axis."""
+    axis, sensor = getattr(effect, "axis", None), getattr(effect, "sensor", None)
+    return axis is not None and sensor is not None and machine.of_another_axis(sensor, axis)
 
 
 def cosine(a: Floats, b: Floats) -> float:
@@ -205,6 +215,8 @@ def _part_of_turn(effect: Effect, numbers: NDArray[np.float64]) -> int:
 
 
 PERIODS = ("pitch", "period")
+ANOTHER = 0.05
+"""Periods within this relative difference are one."""
 EVEN = 1e-3
 """Steps within this relative difference are equal."""
 SCATTER, MOST_MOVES = 0.25, 0.8

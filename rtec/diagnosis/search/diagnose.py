@@ -5,7 +5,7 @@ The steps are those of `docs/diagnose.md`. An effect is named only where noise a
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -17,13 +17,24 @@ from rtec.diagnosis.doubts import Doubt, doubts, targets_apart
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
-from rtec.diagnosis.search.confounded import ALIASES, FEIGNED, PERIODS, WITHIN, aliases_mm, step_mm
+from rtec.diagnosis.search.confounded import (
+    ALIASES,
+    ANOTHER,
+    FEIGNED,
+    PERIODS,
+    WITHIN,
+    aliases_mm,
+    cosine,
+    elsewhere,
+    step_mm,
+)
 from rtec.diagnosis.search.drift_alone import drift_makes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.search.refit import (
     BESIDE,
     MORE,
     NOTHING_MUCH,
+    ONE,
     Judged,
     Refits,
     Refitted,
@@ -52,9 +63,11 @@ from rtec.estimation.joint import changed_numbers
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
+from rtec.estimation.visible import read_directly
 from rtec.machine import Machine
+from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
-from rtec.model import Model
+from rtec.model import FittedEffect, Model
 from rtec.parallel import each, one_blas_thread
 
 Floats = NDArray[np.float64]
@@ -97,6 +110,7 @@ def diagnose(
     explain: bool = False,
     stage: Stage | None = None,
     given: Clean | None = None,
+    earlier: bool = False,
 ) -> Diagnosis:
     """Name the effect that a model misses.
 
@@ -111,6 +125,7 @@ def diagnose(
             separates confounded effects, and what is also significant beside the named effect.
         stage: progress callback: called with the stage, steps done, steps in total.
         given: the measurements, already read.
+        earlier: whether the model's numbers come from other readings although it names these measurements.
 
     Raises:
         MeasurementError: the measurements do not fit together, are too few, or lack a channel that the model needs.
@@ -120,8 +135,23 @@ def diagnose(
         progress = stage or (lambda *_: None)
         progress("reading, finding the noise", 0, 1)
         there = given or clean(measurements, model.reference_degc).without_ends()
-        found = _Search(model, there, seed, alpha, draws, only, explain, progress).diagnosis()
+        search = Search(model, there, seed, alpha, draws, only, explain, progress, earlier=earlier)
+        found = instead_of_files(search, search.diagnosis())
         return _with_changes(found, model, there) if explain else found
+
+
+def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
+    """The diagnosis; where something explains only differences between files, what explains them better without it.
+
+    Two files at two offsets of the instrument differ by the arm of an angle. Their temperatures differ as well.
+    """
+    if not search.between or not any(d.kind == "between_files" and d.fatal for d in found.doubts):
+        return found
+    sensors = set(search.model.machine.sensor_names)
+    read = {c for _, channels in search.between for c in channels} & search.refits.given
+    again = search.without(read | sensors if read & sensors else read)
+    other = again.diagnosis()
+    return other if other.named_drop > max(d for d, _ in search.between) else found
 
 
 def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
@@ -131,14 +161,25 @@ def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     if again or not known or any(d.fatal for d in found.doubts) or found.rms_residual <= AT_NOISE * found.noise_floor:
         return found
     changed, effects = changed_numbers(model, given.readings)
+    if changed and found.group:
+        # A number that holds beside what is named only made up for its absence.
+        still = {(c.effect, c.name) for c in changed_numbers(model, given.readings, _named(found, model))[0]}
+        changed = tuple(c for c in changed if (c.effect, c.name) in still)
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
     return words.with_changes(found, changed, left.residual) if changed else found
 
 
+def _named(found: Diagnosis, model: Model) -> list[FittedEffect]:
+    """What a diagnosis names, with coefficients zero."""
+    first = found.findings[0]
+    there = [(f.effect, f.theta) for f in (first, first.partner) if f is not None]
+    there = [(m.fitted.effect, m.fitted.theta) for m in found.together] or there
+    zero = [dict.fromkeys([p.name for p in effect.coefficients(model.machine)], 0.0) for effect, _ in there]
+    return [FittedEffect(effect, values, dict(theta)) for (effect, theta), values in zip(there, zero, strict=True)]
+
+
 AT_NOISE = 1.1
 """A residual within this factor of the noise floor says nothing about numbers that have changed."""
-ANOTHER = 0.05
-"""Periods within this relative difference are one."""
 
 
 def _beside(candidate: EffectCandidate, model: Model) -> EffectCandidate | None:
@@ -163,7 +204,7 @@ def leaner_first(
 ) -> list[Refitted]:
     """The same; first a significant rival by other sensors that has fewer numbers and predicts held-out runs as well.
 
-    A lag feigns what a sensor lacks.
+    A lag feigns what a sensor lacks. A law by the speed of the spindle knows nothing of the hours before the record.
 
     Args:
         refitted: the best first.
@@ -176,15 +217,20 @@ def leaner_first(
     def read(t: Refitted) -> set[str]:
         return sensors & set(effects[t.number].channels(machine))
 
+    heated = "spindle_rpm" in effects[first.number].channels(machine) and bool(first.theta)
+
     def numbers(t: Refitted) -> int:
         return int(t.columns.shape[1]) + len(t.theta)
+
+    def farther(t: Refitted) -> bool:
+        return elsewhere(effects[t.number], machine) and not elsewhere(effects[first.number], machine)
 
     rivals = [
         t
         for t in refitted
         if t.holds and t.log_evidence > bar and first.log_evidence - t.log_evidence < FEIGNED
         and numbers(t) < numbers(first) and 1.0 - t.drop <= AS_GOOD * (1.0 - first.drop)
-        and read(first) and read(t) not in (set(), read(first))
+        and (heated or read(first)) and read(t) not in (set(), read(first)) and not farther(t)
     ]  # fmt: skip
     lead = max(rivals, key=lambda t: t.log_evidence, default=first)
     return [lead, *(t for t in refitted if t is not lead)]
@@ -201,7 +247,9 @@ def _rich(members: Sequence[Refitted]) -> bool:
     return any(t.columns.shape[1] > PLAIN for t in members)
 
 
-class _Search:
+class Search:
+    """One search for what a model lacks; `diagnose` says what the arguments are."""
+
     def __init__(
         self,
         model: Model,
@@ -212,10 +260,12 @@ class _Search:
         only: Sequence[str] | None,
         explain: bool,
         stage: Stage,
+        *,
+        earlier: bool = False,
     ) -> None:
         self.model, self.seed, self.alpha, self.draws, self.stage = model, seed, alpha, draws, stage
         self.explain = explain
-        self.prepared = prepare(model, given)
+        self.prepared = prepare(model, given, earlier)
         self.judged = Judgement(model, given)
         self.doubts = doubts(self.judged)
         self.readings = self.prepared.readings
@@ -230,6 +280,18 @@ class _Search:
         self._top_shape: Shaped | None = None
         self._tops: list[Shaped] = []
         self._few: FewTargets | None = None
+        # What explains only differences between files: the share of the mean square that it removes, and its channels.
+        self.between: list[tuple[float, frozenset[str]]] = []
+        self._earlier = earlier
+        self._asked = (model, given, seed, alpha, draws, only, explain, stage)
+
+    def without(self, channels: Collection[str]) -> "Search":
+        """The same search among the effects that read none of some channels."""
+        other = Search(*self._asked, earlier=self._earlier)
+        machine = self.model.machine
+        other.candidates = [c for c in other.candidates if not set(channels) & set(c.effect.channels(machine))]
+        other.refits = Refits(other.prepared, other.candidates, other.stage)
+        return other
 
     def diagnosis(self) -> Diagnosis:
         """Run the steps and return the answer."""
@@ -280,7 +342,7 @@ class _Search:
         """Refitted candidates, the one to be named first; and whether noise alone is an unlikely cause of it."""
         again = self.refits.refitted(found, self.refits.weigh_without_drift())
         ordered = led(again, self._prior_odds + SURE, self.prepared.base, self.readings)
-        refitted = self._apart_from_warm_up(ordered)
+        refitted = self._apart_from_warm_up(self._direct_first(ordered))
         accepted = bool(refitted) and self._accepts(refitted[0], p)
         return self._leaner_first(refitted) if accepted else refitted, accepted
 
@@ -310,6 +372,35 @@ class _Search:
         chain = self._without_instrument(chain)
         self._doubt_files(chain, along)
         return (None, [], None) if self._doubted else (pair, chain, unknown)
+
+    def _direct_first(self, refitted: list[Refitted]) -> list[Refitted]:
+        """The same; of one shape and as many numbers a shift that the readings show first, no angle of the same axis.
+
+        With one arm alone nothing separates an angle from a shift. Elsewhere on the machine the angle moves the tool as
+        well, in two directions that nobody measured.
+        """
+        shown = read_directly(self.readings.measurements)
+        turns = bool(refitted) and component_unit(self._component(refitted[0])) == "urad"
+        if not turns or self._component(refitted[0]) in shown:
+            return refitted
+        lead, width, at = refitted[0], self.prepared.base.shape[1], self._projected
+
+        def part(t: Refitted) -> Floats:
+            values = t.fit.values[width : width + t.columns.shape[1]]
+            return at.take_out(at.whitener(t.columns @ values)[:, None])[:, 0]
+
+        def stands_for_it(t: Refitted) -> bool:
+            near = (
+                t.holds and lead.log_evidence - t.log_evidence < WITHIN and t.columns.shape[1] <= lead.columns.shape[1]
+            )
+            own = self._component(t) in shown and self._component(t)[2:] == self._component(lead)[2:]
+            return near and own and cosine(part(t), part(lead)) > ONE
+
+        first = next((t for t in refitted[1:] if stands_for_it(t)), lead)
+        return [first, *(t for t in refitted if t is not first)]
+
+    def _component(self, t: Refitted) -> str:
+        return self.candidates[t.number].effect.component
 
     def _leaner_first(self, refitted: list[Refitted]) -> list[Refitted]:
         effects = {t.number: self.candidates[t.number].effect for t in refitted}
@@ -368,6 +459,7 @@ class _Search:
         return self._files_differ(best)
 
     def _files_differ(self, t: Refitted) -> Doubt:
+        self.between.append((t.drop, frozenset(self._channels(t))))
         return only_between_files(self.readings, self.candidates[t.number].effect.label, self._channels(t))
 
     def _doubt_files(self, members: Sequence[Refitted], along: Shaped | None = None) -> None:

@@ -19,11 +19,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.confounded import SAME, WITHIN, cosine, directness, diverse, plausibility
+from rtec.diagnosis.search.confounded import ANOTHER, SAME, WITHIN, cosine, directness, diverse, period_mm, plausibility
 from rtec.diagnosis.search.screen import UNMOVED, Bank, Projected, Screen, orthonormal, screen, screen_all
 from rtec.diagnosis.search.shapes import Ground
 from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect, Parameter
+from rtec.effects.cyclic import Cyclic
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL, EffectCandidate
 from rtec.estimation.columns import base_of
@@ -243,6 +244,7 @@ class Prepared:
         predicted: by the model, (m,).
         whitener: the noise.
         wrong: readings that were rejected.
+        known: whether the model's numbers are from other readings, with their errors.
     """
 
     readings: Readings
@@ -250,15 +252,29 @@ class Prepared:
     predicted: Floats
     whitener: Whitener
     wrong: tuple[WrongReading, ...]
+    known: bool = False
+
+    @property
+    def kept(self) -> Floats | None:
+        """Prediction of the model with the numbers that it has from other readings, (m,); None where it has none."""
+        return self.predicted if self.known else None
 
 
-def prepare(model: Model, given: Clean) -> Prepared:
-    """Smoothed temperatures, the model's prediction, and the noise."""
+def prepare(model: Model, given: Clean, earlier: bool = False) -> Prepared:
+    """Smoothed temperatures, the model's prediction, and the noise.
+
+    Args:
+        model: the current model.
+        given: the readings.
+        earlier: whether the model's numbers come from other readings although it names these.
+    """
     readings = given.smoothed()
     base = base_of(model, readings)
     left = floor.cleaned(readings, readings.values - base.columns @ solve(base.columns, readings.values))
     whitener = find_noise(readings, base.columns, least=least_noise(readings, left))
-    return Prepared(readings, base.columns, base.predicted, whitener, given.wrong)
+    again = any(m.fingerprint in model.measurements.values() for m in readings.measurements)
+    known = (earlier or not again) and any(f.errors for f in model.effects)
+    return Prepared(readings, base.columns, base.predicted, whitener, given.wrong, known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -593,6 +609,8 @@ class Refits:
             more: list[Refitted] = []
             for number in self._few(found, may, there):
                 theta, columns, fit, likely = self._fitted(found, number, last.fit.columns)
+                if any(self._same_wave(number, theta, t) for t in out):
+                    continue
                 gain = likely - last.fit.log_likelihood
                 drop, left_out = self._judged(number, theta, fit.whitener, last.fit.columns, fit.columns[:, width:])
                 if gain > bar and 1.0 - drop < (1.0 - MORE) * (1.0 - last.drop):
@@ -604,6 +622,14 @@ class Refits:
                 break
             out = [*out, self._plainest(self._with_rivals(found, more, there))]
         return out
+
+    def _same_wave(self, number: int, theta: Mapping[str, float], other: Refitted) -> bool:
+        """Whether a candidate is a wave that another effect is already: two near periods make one wave that beats."""
+        one, two = self.candidates[number].effect, self.candidates[other.number].effect
+        if not (isinstance(one, Cyclic) and isinstance(two, Cyclic)) or one.component != two.component:
+            return False
+        mine, its = period_mm(one, theta) or math.nan, period_mm(two, other.theta) or math.nan
+        return one.grows_with == two.grows_with and abs(mine / its - 1.0) < ANOTHER
 
     def _few(self, found: Screen, may: Callable[[Effect], bool], there: Sequence[tuple[str, str]]) -> list[int]:
         """The best few candidates beside effects that are already fitted, one of each effect of a component.
@@ -767,7 +793,7 @@ class Refits:
         """
         readings, effect = self.readings, self.candidates[t.number].effect
         source, files = self._files(t.columns)
-        given = self._given & set(effect.channels(readings.machine))
+        given = self.given & set(effect.channels(readings.machine))
         if len(files) < 2 or not given:
             return None
         shapes = [readings.at_constant(effect, t.theta, channel) for channel in sorted(given)]
@@ -776,7 +802,7 @@ class Refits:
         return self._evidence_beside(t, base, readings, cost)
 
     @cached_property
-    def _given(self) -> set[str]:
+    def given(self) -> set[str]:
         """Channels that a day gives: temperatures, load and spindle speed."""
         return {"spindle_rpm", "load_kg", "force_n", *self.readings.machine.sensor_names}
 
@@ -793,7 +819,7 @@ class Refits:
         """
         shape, ground = top.shape, Ground(self.readings)
         source, files = self._files(top.columns)
-        given = tuple(v for v in shape.over if v in self._given)
+        given = tuple(v for v in shape.over if v in self.given)
         if len(files) < 2 or not given:
             return ()
         others = [replace(shape, over=(v,), fine=(n,)) for v, n in zip(shape.over, shape.fine, strict=True)]
@@ -878,7 +904,7 @@ class Refits:
 
     def held_out_gain(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on held-out runs, and the gain in whitened squares for each fold."""
-        return held_out_gain(whitener, self.prepared.base, columns)
+        return held_out_gain(whitener, self.prepared.base, columns, self.prepared.kept)
 
     @cached_property
     def subset(self) -> tuple[NDArray[np.bool_], Readings]:

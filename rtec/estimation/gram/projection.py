@@ -7,7 +7,7 @@ parameters at once.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -84,10 +84,23 @@ def starting_terms(effects: Sequence[Effect], sources: Sequence[Source]) -> list
     return [c[i] for c, i in zip(choices, chosen, strict=True)]
 
 
-def polish(sources: Sequence[Source], terms: Sequence[Term], progress: Progress | None = None) -> Polished:
-    """Fit the parameters of all terms together, starting at their current ones."""
+def polish(
+    sources: Sequence[Source],
+    terms: Sequence[Term],
+    progress: Progress | None = None,
+    only: Collection[int] | None = None,
+) -> Polished:
+    """Fit the parameters of all terms together, starting at their current ones.
+
+    Args:
+        sources: the measurements.
+        terms: terms with their parameters.
+        progress: progress callback.
+        only: numbers of the terms of which the parameters are fitted; by default of all.
+    """
     measurements = [s.measurement for s in sources]
-    free = [(i, p) for i, t in enumerate(terms) for p in within_record(t.effect, measurements, LONGEST_LAG)]
+    fitted = range(len(terms)) if only is None else sorted(only)
+    free = [(i, p) for i in fitted for p in within_record(terms[i].effect, measurements, LONGEST_LAG)]
     if not free:
         return Polished(tuple(terms), (), gather(sources, terms, progress), ())
     place = np.clip([_place(p, terms[i].theta[p.name]) for i, p in free], 0.0, 1.0)

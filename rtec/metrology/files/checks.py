@@ -225,7 +225,8 @@ def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:
     for axis in machine.axes:
         position = raw.columns.get(f"{axis.channel}_mm")
         if position is None:
-            out.append(f"no column {axis.channel}_mm: axis {axis.name} is taken as fixed at 0 mm")
+            said = f"no column {axis.channel}_mm: axis {axis.name} is taken as fixed at 0 mm"
+            out.append(f"{said}; add the column if it stood elsewhere")
         elif position.min() < axis.travel_mm[0] or position.max() > axis.travel_mm[1]:
             low, high = axis.travel_mm
             span = f"{position.min():g} to {position.max():g} mm"

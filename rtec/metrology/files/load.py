@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from rtec.effects.derived import direction_update
+from rtec.effects.derived import direction_track, direction_update
 from rtec.errors import MeasurementError
 from rtec.files import whole, write_text
 from rtec.machine import Axis, Machine
@@ -26,6 +26,7 @@ from rtec.metrology.files.columns import check_columns, on_circle, still_right
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
 from rtec.metrology.files.toml import TABLES, Leniency, find_files, read_measurement_toml
+from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.measurement import Measurement
 from rtec.tomlfile import nearest
@@ -136,7 +137,7 @@ def on_the_run(
 
     Returns:
         mm/s with the sign of the motion, 0 in rows that were left out, (n,); empty where the feed was not recorded or a
-        velocity was.
+        velocity was, and for a ball bar.
     """
     found = _on_the_run(instrument, machine, channels, run, time_s)
     if found or read.all():
@@ -160,7 +161,7 @@ def _on_the_run(
     instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, time_s: Floats
 ) -> dict[str, Floats]:
     moving = _moving(machine, channels, run)
-    if not instrument.at_rest or "feed_mm_min" not in channels or len(moving) != 1:
+    if isinstance(instrument, BallBar) or "feed_mm_min" not in channels or len(moving) != 1:
         return {}
     if moving[0].velocity_channel in channels:
         return {}
@@ -178,6 +179,48 @@ def _on_the_run(
             like += b - first
             out[first if out[a] else a : b + 1] = way[a] * feed[b] / 60.0
     return {moving[0].velocity_channel: out} if like >= max(LEAST, MOST * (len(feed) - 2 * len(edges))) else {}
+
+
+def at_feed(
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, read: Bools, where: str
+) -> dict[str, Floats]:
+    """Velocity, by channel, of the one axis that moves within runs, as the user says: the feed in its direction.
+
+    The direction is the given one, else that of `approached`, else that of the positions; before the first motion it is
+    that of the first motion.
+
+    Returns:
+        mm/s with the sign of the motion, (n,); empty for a ball bar, whose circle gives velocities.
+
+    Raises:
+        MeasurementError: there is no feed, a velocity was recorded, or not exactly one axis moves within runs.
+    """
+    if isinstance(instrument, BallBar):
+        return {}
+    moving = _moving(machine, _rows(channels, read), run[read])
+    said = f"{where}: [table] moves_at_feed = true"
+    if "feed_mm_min" not in channels:
+        raise MeasurementError(f"{said} needs the column feed_mm_min; add it, or leave the key out")
+    if len(moving) != 1:
+        names = " and ".join(a.name for a in moving) or "no axis"
+        raise MeasurementError(
+            f"{said} is for one axis that moves within the runs, here {names} moved; give the column v{{axis}}_mm_s of "
+            "each in its place, such as vx_mm_s"
+        )
+    axis = moving[0]
+    if axis.velocity_channel in channels:
+        raise MeasurementError(
+            f"{said}, but the velocity of {axis.name} has a column; leave the key out, or the column"
+        )
+    way = channels.get(axis.direction_channel)
+    if way is None:
+        way = approached(machine, channels, run, read).get(axis.direction_channel)
+    if way is None:
+        way = direction_track(np.ascontiguousarray(channels[axis.channel]), axis.dead_band_mm)
+    known = np.flatnonzero(way)
+    first = float(way[known[0]]) if len(known) else 0.0
+    way = np.where(np.arange(len(way)) < (known[0] if len(known) else 0), first, way)
+    return {axis.velocity_channel: np.sign(way) * np.abs(channels["feed_mm_min"]) / 60.0}
 
 
 def _moving(machine: Machine, channels: Mapping[str, Floats], run: Ints) -> list[Axis]:
@@ -342,6 +385,10 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
         f"no column {written[c]}: by its positions and times the axis went at its feed while it was read" for c in runs
     ]
     channels |= runs
+    if accepted.moves_at_feed and not runs:
+        found = at_feed(instrument, machine, channels, run, read, str(table))
+        notes += [f"no column {written[c]}: the feed in the direction of motion, as moves_at_feed says" for c in found]
+        channels |= found
     channels |= by_velocity(machine, channels, run, read)
     sides = approached(machine, channels, run, read)
     notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]

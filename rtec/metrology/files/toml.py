@@ -24,6 +24,8 @@ class Leniency(Strict):
         drop_bad_rows: leave out rows with a cell that cannot be used.
         ignore_columns: columns that are not read.
         hold_temperature_s: a missing temperature is the last good one, at most so old.
+        moves_at_feed: the axis was read in motion: its velocity, where it has no column, is the feed in the direction
+            of motion, also where the times do not show it.
     """
 
     encoding: Literal["utf-8", "latin-1", "cp1252", "utf-16", "utf-16-le", "utf-16-be"] | None = None
@@ -34,6 +36,7 @@ class Leniency(Strict):
     drop_bad_rows: bool = False
     ignore_columns: tuple[str, ...] = ()
     hold_temperature_s: SecondsPositive | None = None
+    moves_at_feed: bool = False
 
     @model_validator(mode="after")
     def _marks_differ(self) -> "Leniency":

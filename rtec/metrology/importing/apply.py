@@ -354,8 +354,10 @@ def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> None:
 
 def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source: str) -> tuple[Floats, list[str]]:
     """One column of the measurement, in all rows of the file, and notes on its conversion."""
-    values = _numbers(table, column, keep, source)
     target = unit_of_column(name)
+    if column.value is not None:
+        return _constant(len(table), name, column.value, column.unit or target, source)
+    values = _numbers(table, column, keep, source)
     unit = _unit(table, name, column, target, source)
     notes = []
     for code in column.missing_codes:
@@ -383,6 +385,16 @@ def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source:
     done += f", {unit} to {target}" if unit != target else ""
     done += f" + {column.offset:g}" if column.offset else ""
     return values + column.offset, [done, *notes]
+
+
+def _constant(rows: int, name: str, value: float, unit: str, source: str) -> tuple[Floats, list[str]]:
+    """A column that is the same in every row, and a note on it."""
+    target = unit_of_column(name)
+    try:
+        values = convert(np.full(rows, value), unit, target)
+    except ValueError as e:
+        raise MeasurementError(f"{source}: [column.{name}] {e}") from e
+    return values, [f"{name} is {value:.10g} in every row" + (f", {unit} to {target}" if unit != target else "")]
 
 
 def _taken(values: Floats, column: Column, table: ForeignTable, source: str) -> Floats:

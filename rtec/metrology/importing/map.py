@@ -29,6 +29,8 @@ class Column(Strict):
 
     Attributes:
         from_: column of the file.
+        value: instead of a column: the same number in every row, in `unit`; for what the file lacks, such as the place
+            of another axis.
         minus: column of the file that is subtracted: actual minus nominal.
         minus_unit: unit of that column, where the reader does not know it and it differs from `unit`.
         take: "sum": the file has steps, and the value is the sum of all so far; "difference": the file has running
@@ -40,7 +42,8 @@ class Column(Strict):
         missing_codes: numbers that stand for "no value".
     """
 
-    from_: str = Field(alias="from")
+    from_: str = Field("", alias="from")
+    value: Coefficient | None = None
     minus: str | None = None
     minus_unit: str | None = None
     take: Literal["sum", "difference"] | None = None
@@ -56,6 +59,14 @@ class Column(Strict):
     @classmethod
     def _known(cls, unit: str | None) -> str | None:
         return unit if unit is None else canonical(unit)
+
+    @model_validator(mode="after")
+    def _one_source(self) -> "Column":
+        if ("from_" in self.model_fields_set) == (self.value is not None):
+            raise ValueError("give either from, a column of the file, or value, the same number in every row")
+        if self.value is not None and (more := self.model_fields_set - {"value", "unit"}):
+            raise ValueError(f"value stands alone, or with unit; {', '.join(sorted(more))} belongs to from")
+        return self
 
     @model_validator(mode="after")
     def _minus_first(self) -> "Column":
@@ -219,6 +230,8 @@ class ImportMap(Strict):
                 )
         for name in (n for n, c in column.items() if c.minus is not None and n.endswith("_degc")):
             raise ValueError(f"{name}: minus is for readings and positions; a difference of temperatures is none")
+        for name in (n for n, c in column.items() if c.value is not None and n.startswith("reading")):
+            raise ValueError(f"{name}: a reading comes from a column of the file; value is for what stays the same")
         if not any(name.startswith("reading") for name in column):
             raise ValueError("no reading: one of reading_um, reading_urad, reading_x_um … must come from somewhere")
         return column

@@ -149,12 +149,24 @@ class ImportProposal:
         Args:
             columns: the `[column.…]` tables of the map, by the name that each column becomes.
         """
-        becomes = {str(c["from"]): target for target, c in columns.items()}
+        moved = {t: c for t, c in columns.items() if "from" in c}
+        columns = {t: c for t, c in self.content.get("column", {}).items() if "from" not in c} | moved
+        becomes = {str(c["from"]): target for target, c in columns.items() if "from" in c}
         changed = tuple(
             c if becomes.get(c.name, "") == c.becomes else replace(c, becomes=becomes.get(c.name, ""), reason="given")
             for c in self.columns
         )
-        return replace(self, content={**self.content, "column": dict(columns)}, columns=changed)
+        content = {**self.content, "column": dict(columns)}
+        # Where the place of an axis now comes from a column, it is no longer asked.
+        gone = [(q, a) for q, a in self.assumed if q.key in moved]
+        if gone:
+            head, notes = self.content["measurement"], [_assumption(q, a) for q, a in gone]
+            content["measurement"] = {**head, "notes": [n for n in head["notes"] if n not in notes]}
+        questions, assumed = (
+            (q for q in self.questions if q.key not in moved),
+            (x for x in self.assumed if x not in gone),
+        )
+        return replace(self, content=content, columns=changed, questions=tuple(questions), assumed=tuple(assumed))
 
     def import_map(self) -> ImportMap:
         """The map.
@@ -204,6 +216,10 @@ class ImportProposal:
             out += ["", "Not known yet:"]
             out += [f"  {q.text} {_way(q)}" for q in self.open]
         return out
+
+
+def _assumption(question: ImportQuestion, answer: str) -> str:
+    return f"assumed on import, not known: {question.text} {answer}"
 
 
 def _wrapped(line: str) -> list[str]:
@@ -285,13 +301,15 @@ def propose(
         asker.keys.append("axis")
     content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker)
     content["column"] = _of_probes(content["column"], content["setup"])
+    content["column"] |= _constants(content["column"], measurement, machine, asker)
     letters = [n[8].upper() for n in content["column"] if re.fullmatch(r"reading_[xyz]_um", n)]
     if kind is INSTRUMENTS["tool_tip"] and 0 < len(letters) < 3:
         content["setup"].setdefault("directions", letters)
     shown = {**roles.settled, **{f"setup.{k}": v for k, v in content["setup"].items()}, **measurement}
+    shown |= {n: c.get("value", f"column {c.get('from')}") for n, c in content["column"].items()}
     guesses = (*guesses, *asker.unasked(shown, kind))
     if asker.assumed:
-        notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asker.assumed]
+        notes = [_assumption(q, a) for q, a in asker.assumed]
         content["measurement"]["notes"] = [*content["measurement"].get("notes", ()), *notes]
     return ImportProposal(
         path, read.name, tuple(t.name for t in tables), len(table), read.whole, _columns(table, roles), content,
@@ -433,6 +451,7 @@ class _Answers:
         self.source = source
         self.answers = answers
         self.keys: list[str] = []
+        self.possible: list[str] = []
         self.open: list[ImportQuestion] = []
         self.assumed: list[tuple[ImportQuestion, str]] = []
 
@@ -449,7 +468,7 @@ class _Answers:
             if question.default is not None:
                 self.assumed.append((question, question.default))
             return question.default
-        same = [c for c in question.choices if c.lstrip("+") == given.lstrip("+")]
+        same = [c for c in question.choices if _same(key, given, c)]
         if question.choices and not same:
             raise MeasurementError(
                 f"{self.source}: {question.key}: {given!r} is not possible{nearest(given, question.choices)}"
@@ -478,13 +497,17 @@ class _Answers:
             elif kind is not None and _is_of_others(key, kind):
                 out.append(Guess(f"answer {key}", answer, f"not used: {kind.name} has no such key"))
             else:
-                raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, self.keys)}")
+                keys = self.possible if key.endswith("_degc") else self.keys
+                raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, keys)}")
         return out
 
 
 def _same(key: str, answer: str, known: Any) -> bool:
-    if key.startswith("unit of "):
-        answer = unit_named(answer)
+    """Whether an answer is a known value: of units the names may differ, of numbers the writing."""
+    if key.startswith("unit of ") and (unit := unit_named(answer)) and unit == unit_named(str(known)):
+        return True
+    if isinstance(known, int | float):
+        return number_or_none(answer) == known
     return answer.lstrip("+") == str(known).lstrip("+")
 
 
@@ -516,6 +539,48 @@ def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _An
         if answer is not None:
             out[name] = choices[answer] if choices else _value(answer, name, asker.source)
     return out
+
+
+CONSTANT = re.compile(r"[a-z][a-z0-9]*_mm|\w+_degc")
+
+
+def _constants(
+    columns: Mapping[str, Any], measurement: Mapping[str, Any], machine: Machine | None, asker: _Answers
+) -> dict[str, Any]:
+    """Columns that the file lacks: the place of each other axis, which is asked, and temperatures that are answered.
+
+    A ball bar's circle tells where all axes are; to readings that are a component already no lever arm matters.
+    """
+    kind = INSTRUMENTS.get(measurement.get("instrument", ""))
+    if kind is None or (kind.axis_use == "required" and "axis" not in measurement):
+        return {}
+    followed = f"{measurement['axis']}_mm".lower() if kind.axis_use == "required" else ""
+    out: dict[str, Any] = {}
+    if machine is not None and kind is not INSTRUMENTS["ball_bar"] and "component" not in measurement:
+        for axis in machine.axes:
+            name = f"{axis.channel}_mm"
+            if name in columns or name == followed:
+                continue
+            text, usual = f"Where did axis {axis.name} stand, in mm?", float(np.clip(0.0, *axis.travel_mm))
+            answer = asker.ask(name, text, (), f"{usual:g}", "as the display showed it")
+            out[name] = {"value": _number(name, answer, asker)}
+    known = {*columns, *out, followed}
+    allowed = machine.columns if machine is not None else asker.answers
+    asker.possible = [n for n in allowed if CONSTANT.fullmatch(n) and n not in known]
+    for name in asker.possible:
+        if name in asker.answers:
+            asker.keys.append(name)
+            out[name] = {"value": _number(name, asker.answers[name], asker)}
+    return out
+
+
+def _number(name: str, answer: str | None, asker: _Answers) -> float:
+    number = number_or_none((answer or "").strip())
+    if number is None or not np.isfinite(number):
+        unit = "mm" if name.endswith("_mm") else "°C"
+        said = f"{asker.source}: {name}: {answer!r} is no number"
+        raise MeasurementError(f"{said}; give it in {unit}, such as {name}=20.5")
+    return number
 
 
 def _of_probes(columns: Mapping[str, Any], setup: Mapping[str, Any]) -> dict[str, Any]:

@@ -114,7 +114,8 @@ class ColumnRoles:
         self.settled = {f"unit of {n}": u for n, u in self.units.items()}
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
-            self.use[str(column.get("from"))] = (target, "given")
+            if "from" in column:
+                self.use[str(column["from"])] = (target, "given")
 
     def content(self) -> dict[str, Any]:
         """The map without `[source]`, `[events]` and `[setup]`."""
@@ -270,6 +271,7 @@ class ColumnRoles:
             median = float(np.median(self._finite(name)))
             if not like:
                 unit = "degf" if words_of(name)[1:] and words_of(name)[-1] == "f" else "degc" if median < HOT else ""
+                self.settled |= {f"unit of {name}": unit} if unit else {}
             target = self._sensor(name, sensors) if sensors else sensor_name(name)
             if not target or f"{target}_degc" in self.columns:
                 why = {None: "of no sensor known yet", "": "left out"}.get(target, f"a second one for {target}")

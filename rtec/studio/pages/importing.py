@@ -179,7 +179,7 @@ async def _forget_answers(session: TabSession, file: ForeignFile) -> None:
 def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
     p = view.proposal
     used: Mapping[str, Mapping[str, Any]] = p.content.get("column", {})
-    target_of = {str(c["from"]): t for t, c in used.items()}
+    target_of = {str(c["from"]): t for t, c in used.items() if "from" in c}
     with ui.element("div").classes("card"):
         Words("h2", "The columns, and what they become")
         with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
@@ -246,7 +246,7 @@ def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "
 def edit(view: ImportView, name: str, changed: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The columns of the proposed map with a changed `target`, `unit` or `sign` of one of them."""
     columns = {t: dict(c) for t, c in view.proposal.content.get("column", {}).items()}
-    old = next((t for t, c in columns.items() if c["from"] == name), NOT_USED)
+    old = next((t for t, c in columns.items() if c.get("from") == name), NOT_USED)
     entry = columns.pop(old, {"from": name})
     target = changed.get("target", old)
     for key in ("unit", "sign"):
