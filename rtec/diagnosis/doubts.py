@@ -41,7 +41,7 @@ Kind = Literal[
     "wrong_scale", "wrong_gain", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction",
     "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
-    "unexplained", "two_levels",
+    "unexplained", "two_levels", "few_targets",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -63,7 +63,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     }
 )
 """Doubts beside which no effect of the machine is named."""
-DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets", "unexplained"}
+DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets", "few_targets", "unexplained"}
 """Doubts beside which it is undetermined whether an effect is missing."""
 
 BETTER = 0.5
@@ -87,6 +87,13 @@ squares, is clearly better."""
 ALIKE = 1.5
 """Temperatures by another clock, and a factor that no unit has, are asked about where an effect leaves more than this
 many times what they leave."""
+MOSTLY = 0.75
+"""Share, in squares, of what a refit of all numbers explains that a fault smaller than half of the residual must."""
+MANY_TIMES = 3.0
+"""A number of the machine is hardly more than this many times what it was, or less than the inverse."""
+FEWEST_RUNS, BY_CHANCE = 3, 0.01
+"""With fewer runs nothing tells what differs between them from a drift. Share of the records of which only the zeros,
+or slopes, of the runs wander whose runs one number follows as well by chance."""
 GROWS = "something that grows shifts the readings as much"
 SENSORS_LATE = "the sensors warm up that much later than their parts"
 FAR_LESS = 0.75
@@ -211,6 +218,16 @@ def _disagree(judged: Judgement) -> list[Doubt]:
     return out
 
 
+def targets_apart(channels: Sequence[str], at_mm: Sequence[Sequence[float]]) -> Doubt:
+    """Doubt about what only one or two targets show, at their places along axes."""
+    places = [", ".join(f"{c.upper()} = {significant(v)}" for c, v in zip(channels, at, strict=True)) for at in at_mm]
+    one = len(places) == 1
+    which = f"The target{'' if one else 's'} at {' mm and '.join(places)} mm stand{'s' if one else ''} out"
+    message = f"{which} from all others in every run: that is no shape."
+    step = f"Measure once more, with further targets close beside {'it' if one else 'them'}."
+    return Doubt("few_targets", message, step, fatal=True)
+
+
 def unexplained(judged: Judgement) -> Doubt | None:
     """Doubt that nothing is missing where the residual is far above noise and slow drift; None where it is not."""
     left = min(judged.residual, judged.refitted if math.isfinite(judged.refitted) else math.inf)
@@ -282,6 +299,10 @@ def _edited_records(judged: Judgement, measured: Floats, predicted: Floats) -> "
     near = NEAR_FLOOR * _whole_noise(judged)
     if found.kind in ("wrong_gain", "lost_sensor"):
         return found
+    if found.kind in ("wrong_channel", "swapped_sensors") and _new_number_does(judged, found):
+        return None
+    if not _runs_decide(judged, found):
+        return None
     if found.kind == "late_temperatures" and not met:
         return _by_another_clock(judged, found, usual)
     if found.kind == "wrong_channel":
@@ -318,7 +339,8 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     if any(m.fingerprint in judged.model.measurements.values() for m in readings.measurements):
         return False
     usual = _error_of_fit(judged.model, judged.unit, readings.measurements)
-    by_fit = 0.0 if usual is None else NEAR_FIT * max(usual, judged.noise_floor)
+    met = usual is None or judged.residual < NEAR_FIT * usual or not _like_refit(judged, found)
+    by_fit = 0.0 if usual is None or met else NEAR_FIT * max(usual, judged.noise_floor)
     by_refit = LIKE_REFIT * judged.refitted if found.kind in ("moved_origin", "turned_axis") else 0.0
     if found.residual > min(AGAIN * judged.residual, max(by_fit, by_refit)):
         return False
@@ -333,6 +355,12 @@ def _as_in_the_fit(judged: Judgement, found: "_Edit") -> bool:
     return not any(_left_by(judged, np.hstack([own, c])) < FAR_LESS * found.residual for c in fixed)
 
 
+def _like_refit(judged: Judgement, found: "_Edit") -> bool:
+    """Whether an edit explains most of what new numbers of the whole model do."""
+    before = judged.residual**2
+    return before - found.residual**2 > MOSTLY * (before - judged.refitted**2)
+
+
 def _as_well(judged: Judgement, residual: float) -> bool:
     """Whether new numbers of one effect leave about as little as an edit, or a missing one of one number less."""
     own = (_left_by(judged, _columns(judged, f.effect, f.theta)) for f in judged.model.effects)
@@ -340,6 +368,70 @@ def _as_well(judged: Judgement, residual: float) -> bool:
         return True
     new = (_left_by(judged, _columns(judged, e)) for e in _simple(judged))
     return any(_clearly_less(left, residual, judged.noise_floor) for left in new)
+
+
+def _runs_decide(judged: Judgement, found: "_Edit") -> bool:
+    """Whether an edit describes more than what may differ from run to run, or differs between enough runs.
+
+    A temperature is nearly one value in each run, and another origin changes an expansion by one zero in each. With few
+    runs an edit of one number follows any drift of theirs. So the runs are counted then, not the readings.
+    """
+    readings, sensors = judged.readings, set(judged.model.machine.sensor_names)
+    warm = set(found.channels) <= sensors
+    after = _Edits(judged.model, readings, judged.scale).left(found.channels)
+    if not found.channels or not (warm or found.kind == "moved_origin") or after is None:
+        return True
+    after = floor.cleaned(readings, after)
+    changed = [s for s in readings.series if np.any(after[s.part] != judged.left[s.part])]
+    columns = np.concatenate(
+        [_run_columns(readings, s, sloped=warm) for s in changed] or [np.zeros((len(after), 0))], axis=1
+    )
+    free = floor.cleaned(readings, columns)
+
+    def squares(left: Floats) -> float:
+        return judged.pooled(left) ** 2
+
+    inside, within = (squares(left - free @ solve(free, left)) for left in (judged.left, after))
+    if AS_GOOD**2 * within < inside:
+        return True
+    runs = sum(int(s.run[-1]) + 1 for s in changed)
+    if runs < FEWEST_RUNS:
+        return False
+    from scipy.stats import f
+
+    before, behind = squares(judged.left) - inside, max(squares(after) - within, 1e-300)
+    return bool((before / behind - 1.0) * (runs - 2) > f.isf(BY_CHANCE, 1, runs - 2))
+
+
+def _run_columns(readings: Readings, series: Series, *, sloped: bool) -> Floats:
+    """What may differ between the runs of a series: a zero; and slopes over the time and along each axis, (m, k)."""
+    state, m = readings.states[series.source], len(readings)
+    places = [state.channels[a.channel][series.row] for a in readings.machine.axes if a.channel in state.channels]
+    over = [np.ones(len(series)), *([series.time_s, *places] if sloped else [])]
+    out = []
+    for run, v in itertools.product(range(int(series.run[-1]) + 1), over):
+        mine = series.run == run
+        if v is over[0] or np.ptp(v[mine]) > 0.0:
+            column = np.zeros(m)
+            column[series.part] = np.where(mine, v - (0.0 if v is over[0] else v[mine].mean()), 0.0)
+            out.append(column / max(float(np.abs(column).max()), 1e-300))
+    return np.stack(out, axis=1)
+
+
+def _new_number_does(judged: Judgement, found: "_Edit") -> bool:
+    """Whether new numbers of one effect leave clearly less than an edit of a channel: they are plainer.
+
+    That a number is many times what it was, or has the other sign, is less plain than that a unit is wrong.
+    """
+    for fitted in judged.model.effects:
+        columns = _columns(judged, fitted.effect, fitted.theta)
+        if AS_GOOD * _left_by(judged, columns) >= found.residual:
+            continue
+        old = ordered(fitted, judged.readings)
+        times = 1.0 + solve(columns, judged.left) / np.where(old == 0.0, math.inf, old)
+        if not found.of_unit or np.all((times < MANY_TIMES) & (times > 1.0 / MANY_TIMES)):
+            return True
+    return False
 
 
 def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: float | None) -> Iterator["_Edit"]:
@@ -479,6 +571,7 @@ class _Edit:
         times: what it multiplies the readings by.
         unless: what else does the same, in words; empty for nothing.
         rival: what else does the same if an effect describes the readings as well; empty for that effect alone.
+        of_unit: whether it multiplies a channel by a factor that a unit has.
     """
 
     residual: float
@@ -490,6 +583,7 @@ class _Edit:
     times: float = 1.0
     unless: str = ""
     rival: str = ""
+    of_unit: bool = False
 
     @property
     def fatal(self) -> bool:
@@ -530,7 +624,7 @@ class _Edits:
         Args:
             edits: of each, the replacement of a channel, from the state of a measurement.
         """
-        out, kept = np.full(len(edits), np.inf), [self._left(e) for e in edits]
+        out, kept = np.full(len(edits), np.inf), [self.left(e) for e in edits]
         there = [i for i, left in enumerate(kept) if left is not None]
         if not there:
             return out
@@ -539,7 +633,7 @@ class _Edits:
             out[i] = floor.pooled(self.readings, floor.rms_by_series(self.readings, left), self.scale)
         return out
 
-    def _left(self, channels: Replaced) -> Floats | None:
+    def left(self, channels: Replaced) -> Floats | None:
         """Residual of the model with some channels replaced, (m,); None where that is impossible."""
         states = []
         for state in self.readings.states:
@@ -568,17 +662,19 @@ class _Edits:
             suspect, check = "its unit or its scale in the file may be wrong", "that column"
             factors = [f for f in CHANNEL_FACTORS if self._within_travel(channel, f)]
             times = [{channel: lambda s, c=channel, f=f: f * s.channels[c]} for f in factors]
-            still = self._without_change(channel)
-            for factor, residual in zip(factors, self.residuals(times), strict=True):
+            still = min(self._without_change(channel), self._without_effects(channel))
+            for factor, residual, made in zip(factors, self.residuals(times), times, strict=True):
                 if AS_GOOD * float(residual) > still:
                     continue  # it only takes away what the model has by that channel
                 by = f"{factor:g}" if abs(factor) >= 1.0 else f"1/{1.0 / factor:g}"
-                yield _Edit(float(residual), "wrong_channel", f"{channel} times {by}", suspect, check)
+                edit, of_unit = f"{channel} times {by}", factor not in NO_UNIT
+                yield _Edit(float(residual), "wrong_channel", edit, suspect, check, made, of_unit=of_unit)
             if channel in self.model.machine.sensor_names:
-                residual = self.residuals([{channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}])[0]  # type: ignore[misc]
+                celsius: Replaced = {channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}  # type: ignore[misc]
+                residual, edit = self.residuals([celsius])[0], f"{channel} read as °F"
                 if AS_GOOD * float(residual) > still:
                     continue
-                yield _Edit(float(residual), "wrong_channel", f"{channel} read as °F", suspect, check)
+                yield _Edit(float(residual), "wrong_channel", edit, suspect, check, celsius, of_unit=True)
 
     def _without_change(self, channel: str) -> float:
         """Root mean square of the residual if a channel had its median throughout."""
@@ -588,16 +684,33 @@ class _Edits:
         median = float(np.nanmedian(values))
         return float(self.residuals([{channel: lambda s: np.full(len(s), median)}])[0])
 
+    def _without_effects(self, channel: str) -> float:
+        """Least root mean square of the residual without effects of the model that read a channel."""
+        reads = [channel in f.effect.channels(self.model.machine) for f in self.model.effects]
+        some = [p for p, r in zip(self.parts, reads, strict=True) if r]
+        whole = self.left({})
+        if whole is None or not some:
+            return math.inf
+        left = floor.cleaned(self.readings, np.stack([whole + p for p in (*some, np.sum(some, axis=0))], axis=1))
+        return min(floor.pooled(self.readings, floor.rms_by_series(self.readings, v), self.scale) for v in left.T)
+
     def _within_travel(self, channel: str, factor: float) -> bool:
-        """Whether a position times a factor that a unit has is within the travel; true of all other channels."""
+        """Whether a position times a factor that a unit has is within the travel; true of all other channels.
+
+        Targets cover most of the travel: positions that are within it as they are recorded are not too large.
+        """
         axis = next((a for a in self.model.machine.axes if a.channel == channel), None)
         if axis is None:
             return True
-        if factor in NO_UNIT:
+        places = [s.channels[channel] for s in self.readings.states if channel in s.channels]
+        if factor in NO_UNIT or (abs(factor) < 1.0 and self._in_travel(axis, places)):
             return False
+        return self._in_travel(axis, [factor * p for p in places])
+
+    def _in_travel(self, axis: Axis, places: Sequence[Floats]) -> bool:
+        """Whether positions are within the travel of an axis, or hardly beyond it."""
         low, high = axis.travel_mm
         beyond = BEYOND * (high - low)
-        places = [factor * s.channels[channel] for s in self.readings.states if channel in s.channels]
         return all(low - beyond <= float(np.nanmin(p)) and float(np.nanmax(p)) <= high + beyond for p in places)
 
     def _exchanged(self) -> Iterator[_Edit]:
@@ -607,6 +720,8 @@ class _Edits:
             if {one, two} & self.read:
                 swap = {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}
                 left, edit = float(self.residuals([swap])[0]), f"{one} and {two} exchanged"
+                if AS_GOOD * left > min(self._without_effects(one), self._without_effects(two)):
+                    continue
                 yield _Edit(left, "swapped_sensors", edit, suspect, "their labels", swap)
 
     def _moved(self) -> Iterator[_Edit]:
@@ -628,9 +743,8 @@ class _Edits:
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
             found = left(by)
             apart = self._shifted(axis) > AS_GOOD * found
-            yield _Edit(
-                found, "moved_origin", edit, suspect, f"the origin of {axis.name}", unless="" if apart else GROWS
-            )
+            where = f"the origin of {axis.name}"
+            yield _Edit(found, "moved_origin", edit, suspect, where, moved(by), unless="" if apart else GROWS)
 
     def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float:
         """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all."""
@@ -704,6 +818,7 @@ class _Edits:
             f"all temperatures moved {abs(by) / 60.0:.0f} min {way}",
             "their clock may not be that of the readings",
             "the time of both",
+            moved(by),
             rival=SENSORS_LATE if by > 0.0 else "",
         )
 
@@ -717,7 +832,7 @@ class _Edits:
         Args:
             usual: residual of the model where nothing is wrong.
         """
-        whole = self._left({})
+        whole = self.left({})
         names = sorted(self.read & set(self.model.machine.sensor_names))
         if whole is None or not names:
             return
@@ -796,7 +911,7 @@ class _Edits:
         m, state = self.readings.measurements[source], self.readings.states[source]
 
         def by(off: NDArray[np.bool_]) -> Floats:
-            changed = self._left({name: lambda s: s.channels[name] + (off if s is state else 0.0)})
+            changed = self.left({name: lambda s: s.channels[name] + (off if s is state else 0.0)})
             return np.zeros(len(since)) if changed is None else whole - changed
 
         def left(columns: Floats) -> tuple[float, Floats]:
@@ -838,19 +953,25 @@ class _Edits:
         first, last = self._reached(axis)
         return max(-reach, low - beyond - first), min(reach, high + beyond - last)
 
+    def _reads(self, series: Series, axis: Axis) -> bool:
+        """Whether the model's prediction of a series depends on the position of an axis."""
+        reads = [axis.channel in f.effect.channels(self.model.machine) for f in self.model.effects]
+        return any(r and bool(np.any(p[series.part])) for r, p in zip(reads, self.parts, strict=True))
+
     def _shifted(self, axis: Axis) -> float:
         """Root mean square of the residual beside shifts proportional to the model's prediction along an axis.
 
-        Growth of a part at the mount of the axis shifts the readings as another origin does.
+        Growth of a part at the mount of the axis shifts the readings of that axis as another origin does.
         """
         here = [f.effect.channels(self.model.machine) for f in self.model.effects]
         names = sorted(
             {c for read in here if axis.channel in read for c in read} & set(self.model.machine.sensor_names)
         )
-        left = self._left({})
+        left = self.left({})
         if left is None or not names:
             return math.inf
-        values = [self.readings.channel(n) for n in names]
+        mine = np.isin(self.readings.series_of, [i for i, s in enumerate(self.readings.series) if self._reads(s, axis)])
+        values = [np.where(mine, self.readings.channel(n), 0.0) for n in names]
         columns = floor.cleaned(self.readings, np.stack([*values, left], axis=1))
         shifts = columns[:, :-1]
         rest = columns[:, -1] - shifts @ solve(shifts, columns[:, -1])

@@ -87,8 +87,8 @@ def named(channel: str) -> str:
     return titled(channel).rpartition(", ")[0] or titled(channel)
 
 
-A_STEP = "a step at"
-"""So begins the place of a single step."""
+A_STEP, A_STEP_BETWEEN = "a step at", "a step between"
+"""So begins the place of a single step; of one that is over between two targets."""
 LITTLE = 2.0
 """The readings show little where half of the tested effects are detected only above this many times the residual."""
 TOGETHER = "to be added together with rank 1"
@@ -188,7 +188,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         at = f", {d.unknown.where}" if d.unknown.where else ""
         if d.unknown.shape == "steps":
             how, at = ("", f", with {d.unknown.where}") if at else ("in steps ", "")
-        elif d.unknown.where.startswith(A_STEP):
+        elif d.unknown.where.startswith((A_STEP, A_STEP_BETWEEN)):
             how, at = "", f", with {d.unknown.where}"
         if d.unknown.step_mm is not None:
             at += f"; targets every {d.unknown.step_mm:.4g} mm show these periods alike, unequal steps do not"

@@ -136,7 +136,9 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     """
     refit = _refit_words(r.refit) if r.refit else ""
     if not r.steps:
-        lead = f"{refit}No effect was added: {_why_ended(r)}. {_last_verdict(r)}"
+        lead = f"{refit}No effect was added: {_why_ended(r)}."
+        lead = f"{refit}No effect was added." if r.events and r.reason == "nothing_missing" else lead
+        lead = f"{lead} {_last_verdict(r)}"
     else:
         first, last = r.steps[0], r.steps[-1]
         unit = ERROR_UNITS[last.unit]
@@ -156,7 +158,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         )
     lead = " ".join([lead, *(f"{u.words}: {u.advice}." for s in r.steps for u in s.unmeasured)])
     if r.events:
-        lead = f"{lead} {words(r.events)}"
+        lead = f"{words(r.events)} {lead}"
     steps = [
         Section(f"Step {i}: {', '.join(s.labels)}", _before_and_after(s).text, _before_and_after(s).table)
         for i, s in enumerate(r.steps, 1)
@@ -180,8 +182,13 @@ def _why_ended(r: Improved) -> str:
     if r.reason == "unknown_effect" and r.steps:
         return "what is still missing is not in the catalogue"
     if r.reason == "nothing_missing" and r.steps:
-        return WHY_ENDED[r.reason] + drifts(r.diagnoses[-1])
+        return _beside(r, WHY_ENDED[r.reason]) + drifts(r.diagnoses[-1])
     return WHY_ENDED[r.reason]
+
+
+def _beside(r: Improved, verdict: str) -> str:
+    """A verdict on the readings without what happened in their record, in words."""
+    return f"beside {'that' if len(r.events) == 1 else 'these'} {verdict}" if r.events else verdict
 
 
 def _last_verdict(r: Improved) -> str:
@@ -191,7 +198,7 @@ def _last_verdict(r: Improved) -> str:
     """
     last = r.diagnoses[-1]
     if r.reason not in ("no_gain", "narrow_range") or not last.findings:
-        return sentence(last.sentence)
+        return sentence(_beside(r, last.sentence))
     return f"Not added: {last.findings[0].label}, which `rtec diagnose` names first."
 
 

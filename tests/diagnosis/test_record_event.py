@@ -1,5 +1,6 @@
 """Events of one record, which no model for other days can hold. Oracle: what was done to the file, and another day."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -107,6 +108,14 @@ def test_it_is_reported_with_the_time_and_what_to_do() -> None:
     assert "between run 9 and run 10, the readings jump by +9" in lead
     assert "not written into the model" in lead
     assert done.facts()["events"][0]["measurement"] == "laser-x-21"
+
+
+def test_the_jump_comes_first_and_nothing_else_is_said_to_be_missing() -> None:
+    """`diagnose` names it on the same file."""
+    lead = improved_page(improve(known(), [jumped(laser(KNOWN, 11))[0]], draws=50), figures=False).lead
+    assert re.match(r"laser-x-11: at \d+ s, between run 9 and run 10, the readings jump by \+[89]\.\d µm", lead)
+    assert "No effect was added. Beside that no effect is missing that these readings could show (half " in lead
+    assert lead.count("missing") == 1
 
 
 def test_added_by_hand_it_warns() -> None:

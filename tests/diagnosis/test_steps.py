@@ -23,13 +23,13 @@ RUNS, TARGETS, NOISE_UM = 4, 49, 0.3
 STEP_MM = 190.0 / (TARGETS - 1)
 
 
-def line(error: Callable[[Floats], Floats], seed: int) -> Measurement:
-    """A laser along X, four times there and back over 49 targets at unequal steps; nothing warms."""
+def line(error: Callable[[Floats], Floats], seed: int, count: int = TARGETS) -> Measurement:
+    """A laser along X, four times there and back over 49 targets, or another count, at unequal steps; nothing warms."""
     machine, rng = small_machine(), np.random.default_rng(seed)
-    at = np.linspace(5.0, 195.0, TARGETS)
-    at[1:-1] += rng.uniform(-0.3, 0.3, TARGETS - 2) * STEP_MM
+    at = np.linspace(5.0, 195.0, count)
+    at[1:-1] += rng.uniform(-0.3, 0.3, count - 2) * 190.0 / (count - 1)
     x = np.tile(np.concatenate([at, at[::-1]]), RUNS)
-    ways = np.tile(np.repeat([1.0, -1.0], TARGETS), RUNS)
+    ways = np.tile(np.repeat([1.0, -1.0], count), RUNS)
     channels = {
         "x": x,
         "d_x": ways,
@@ -38,7 +38,7 @@ def line(error: Callable[[Floats], Floats], seed: int) -> Measurement:
     }
     values = error(x) + 0.02 * x + 1.5 * ways + NOISE_UM * rng.standard_normal(len(x))
     made = make_instrument("laser_linear", {}, "X", None, machine, "test")
-    run, time_s = np.repeat(np.arange(1, RUNS + 1), 2 * TARGETS), np.linspace(0.0, 5.0 * len(x), len(x))
+    run, time_s = np.repeat(np.arange(1, RUNS + 1), 2 * count), np.linspace(0.0, 5.0 * len(x), len(x))
     return Measurement("rack", made, machine, run, time_s, channels, {"reading_um": values})
 
 
@@ -140,10 +140,28 @@ def test_one_step_is_found_beside_a_curve_that_has_taken_up_a_part_of_it(seed: i
     at, by = rng.uniform(40.0, 160.0), rng.choice([-1.0, 1.0]) * rng.uniform(1.8, 2.6)
     heights = rng.normal(0.0, 2.0, len(CURVE_MM))
     d = beside_curve(line(lambda x: np.interp(x, CURVE_MM, heights) + by * (x > at), seed))
-    where = re.search(r"depends on X, with a step at X ≈ ([\d.]+) mm", d.sentence)
+    where = re.search(r"depends on X, with a step between X = ([\d.]+) and ([\d.]+) mm", d.sentence)
     assert d.verdict == "unknown_effect"
     assert where, d.sentence
-    assert float(where[1]) == pytest.approx(at, abs=1.6 * STEP_MM)
+    assert 0.5 * (float(where[1]) + float(where[2])) == pytest.approx(at, abs=1.6 * STEP_MM)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize("count", [13, 30, 49])
+def test_a_step_is_said_to_be_between_the_targets_beside_it(count: int, seed: int) -> None:
+    """Oracle: the targets; nothing shows where between two of them it is. One of its number had been printed."""
+    at = float(np.random.default_rng([seed, 26]).uniform(50.0, 150.0))
+    m = line(steps({at: 4.0}), seed, count)
+    d = found(m)
+    targets = np.unique(m.channels["x"])
+    low, high = targets[targets < at].max(), targets[targets > at].min()
+    where = re.search(r"depends on X, with a step between X = ([\d.]+) and ([\d.]+) mm", d.sentence)
+    assert where, d.sentence
+    assert [float(where[1]), float(where[2])] == [float(f"{v:.3g}") for v in (low, high)]
+    assert d.unknown is not None
+    centre = re.match(r"centre=([\d.]+):([\d.]+)\.\.([\d.]+)", d.unknown.parameters[0])
+    assert centre, d.unknown.parameters
+    assert [float(centre[i]) for i in (1, 2, 3)] == pytest.approx([0.5 * (low + high), low, high], abs=0.06)
 
 
 @pytest.mark.parametrize("seed", range(3))

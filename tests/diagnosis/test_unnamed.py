@@ -1,5 +1,6 @@
 """What has no name in the catalogue. Oracle: what the benchmark's own physics hid."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -103,17 +104,22 @@ def test_no_heat_is_named_for_a_shape_of_place_and_load(seed: int) -> None:
     assert not any(heat & set(e.channels(m.machine)) for e in named), d.sentence
 
 
-def at_few_targets(curve: Callable[[Floats], Floats], seed: int) -> Diagnosis:
-    """Twelve targets at unequal steps, nine times there and back; the model knows the scale error and the backlash."""
+def at_few_targets(curve: Callable[[Floats], Floats], seed: int, count: int = 12) -> Diagnosis:
+    """Targets at unequal steps, nine times there and back; the model knows the scale error and the backlash."""
     machine, rng = small_machine(), np.random.default_rng(seed)
-    at = np.linspace(5.0, 195.0, 12) + rng.uniform(-4.0, 4.0, 12)
+    at = np.linspace(5.0, 195.0, count) + rng.uniform(-4.0, 4.0, count) * 12 / count
     x = np.tile(np.concatenate([at, at[::-1]]), 9)
     n, day = len(x), np.linspace(0.0, 1.0, len(x))
-    channels = {"x": x, "d_x": np.tile(np.repeat([1.0, -1.0], 12), 9), "T_bed": 20.0 + 2.0 * day, "T_air": 21.0 - day}
+    channels = {
+        "x": x,
+        "d_x": np.tile(np.repeat([1.0, -1.0], count), 9),
+        "T_bed": 20.0 + 2.0 * day,
+        "T_air": 21.0 - day,
+    }
     readings = {"reading_um": curve(x) + 0.01 * x + 0.2 * rng.standard_normal(n)}
     made = make_instrument("laser_linear", {}, "X", None, machine, "test")
     m = Measurement(
-        "few", made, machine, np.repeat(np.arange(1, 10), 24), np.linspace(0.0, 9.0 * n, n), channels, readings
+        "few", made, machine, np.repeat(np.arange(1, 10), 2 * count), np.linspace(0.0, 9.0 * n, n), channels, readings
     )
     known = effects("scale,component=EXX,axis=X,k=0", "backlash,component=EXX,axis=X,B=0")
     return diagnose(Model(machine, known, name="known"), [m], draws=50, explain=True)
@@ -129,6 +135,32 @@ def test_a_hump_or_a_step_at_few_targets_is_no_curve_of_many_numbers(form: str, 
     assert d.unknown is not None
     assert d.unknown.channels == ("x",)
     assert form in d.unknown.where
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("which", [[30], [30, 31], [12, 45]])
+def test_what_two_of_many_targets_show_is_no_shape(which: list[int], seed: int) -> None:
+    """Sixty targets, 3.2 mm apart, of which one or two are 2 µm off in every run."""
+    d = at_few_targets(lambda x: np.where(np.isin(x, np.unique(x)[which]), 2.0, 0.0), seed, 60)
+    assert d.unknown is None, d.sentence
+    assert not any(f.accepted for f in d.findings), d.sentence
+    assert d.verdict == "undecided"
+    assert re.search("stands? out from all others", d.sentence)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_one_reading_at_each_of_two_targets_shows_is_nothing(seed: int) -> None:
+    """Oracle: two of 1080 readings are 9 µm off."""
+    d = at_few_targets(lambda x: np.where(np.isin(np.arange(len(x)), [30, 271]), 9.0, 0.0), seed, 60)
+    assert d.unknown is None, d.sentence
+    assert d.verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_hump_of_a_few_targets_is_one(seed: int) -> None:
+    d = at_few_targets(lambda x: 2.0 * np.exp(-(((x - 80.0 - 20.0 * seed) / 5.0) ** 2)), seed, 60)
+    assert d.unknown is not None
+    assert "a hump at X" in d.unknown.where
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import Doubt, doubts
+from rtec.diagnosis.doubts import Doubt, doubts, targets_apart
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
@@ -46,7 +46,15 @@ from rtec.diagnosis.search.refit import (
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.shapes import groups
-from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, curves_of, without_idle
+from rtec.diagnosis.search.unnamed import (
+    FewTargets,
+    Shaped,
+    adequacy,
+    best_shapes,
+    curves_of,
+    few_targets,
+    without_idle,
+)
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
@@ -271,6 +279,7 @@ class Search:
         self.rng = np.random.default_rng([seed, 400])
         self._top_shape: Shaped | None = None
         self._tops: list[Shaped] = []
+        self._few: FewTargets | None = None
         # What explains only differences between files: the share of the mean square that it removes, and its channels.
         self.between: list[tuple[float, frozenset[str]]] = []
         self._earlier = earlier
@@ -292,6 +301,7 @@ class Search:
         p, _ = found.family_p(self.draws, self.rng)
         refitted, accepted = self._in_order(found, p)
         best = refitted[0] if refitted else None
+        accepted = accepted and not self._of_few_targets(refitted[0])
         named, share, unknown = self._adequate(best if accepted else None)
         pair: tuple[Refitted, Refitted] | None = None
         chain: list[Refitted] = []
@@ -311,6 +321,8 @@ class Search:
         if unknown is not None and not chain and self._of_no_machine(unknown, best if accepted else None):
             unknown = None
         named = named or bool(chain) or pair is not None
+        if self._few is not None and unknown is None and not named:
+            self.doubts = (*self.doubts, targets_apart(self._few.channels, self._few.at_mm.tolist()))
         undecided = None if named else self._undecided(refitted)
         if undecided is not None and (unknown is None or beats_drift(undecided[1], self._top_shape)):
             unknown, refitted = None, _first(undecided[1:], refitted)
@@ -590,7 +602,12 @@ class Search:
     def _adequate(self, best: Refitted | None) -> tuple[bool, float | None, Unknown | None]:
         """Whether the best effect is as good as a shape without a name; its adequacy; that shape where it is not."""
         self.stage("shapes without a name", 0, 1)
-        tops = [t for t in self._shapes(best) if best is None or not far_better(best, t)]
+        shapes = self._shapes(best)
+        if best is None:
+            likeliest = max(shapes, key=lambda t: t.log_evidence, default=None)
+            sure = likeliest is not None and likeliest.log_evidence > OVERWHELMING
+            self._doubt_targets([likeliest.few] if likeliest is not None and sure else [])
+        tops = [t for t in shapes if t.few is None and (best is None or not far_better(best, t))]
         top = max(tops, key=lambda t: t.log_evidence, default=None)
         self._top_shape = top
         self._tops = tops
@@ -610,6 +627,21 @@ class Search:
         # likelier than the shape, its name is still the better answer.
         named = share >= ADEQUATE or self._with_another(best, top) > top.log_evidence
         return named, share, None if named else self._unknown(top)
+
+    def _of_few_targets(self, best: Refitted) -> bool:
+        """Whether only one or two targets show an effect of many numbers along axes."""
+        effect, machine = self.candidates[best.number].effect, self.model.machine
+        read = effect.channels(machine)
+        if best.columns.shape[1] <= PLAIN or not set(read) <= {c for a in machine.axes for c in a.moving_channels}:
+            return False
+        along = [a.channel for a in machine.axes if a.channel in read]
+        few = few_targets(self.readings, self.prepared.base, best.columns, best.fit.whitener, along)
+        self._doubt_targets([few])
+        return few is not None
+
+    def _doubt_targets(self, found: Sequence[FewTargets | None]) -> None:
+        """Keep which targets stand out, where most of their readings do."""
+        self._few = self._few or next((t for t in found if t is not None and t.recur), None)
 
     def _simpler(self, best: Refitted, tops: Sequence[Shaped]) -> Shaped | None:
         """A hump, a step or several that is likelier than an effect with more numbers; None where there is none."""
@@ -722,7 +754,7 @@ class Search:
             fit,
             lambda noise, columns: held_out_gain(noise, base, columns),
         )
-        best = max((t.log_evidence for t in rest), default=None)
+        best = max((t.log_evidence for t in rest if t.few is None), default=None)
         return best is None or chain[-1].log_evidence + best > top.log_evidence
 
     def _beside_curve(self, p: float) -> tuple[list[Refitted], Shaped | None]:

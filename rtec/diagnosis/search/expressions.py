@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.confounded import STEPS
 from rtec.diagnosis.search.screen import Projected
-from rtec.diagnosis.search.shapes import SHARP, Ground, LocalPlace, weigh
+from rtec.diagnosis.search.shapes import SHARP, Ground, LocalPlace, Shape, in_gap, weigh
 from rtec.diagnosis.search.unnamed import Shaped
-from rtec.diagnosis.words import A_STEP, named, spoken, unit_of_channel
+from rtec.diagnosis.words import A_STEP, A_STEP_BETWEEN, named, spoken, unit_of_channel
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
 from rtec.effects.expression import expression_from_text
@@ -99,13 +99,17 @@ class ExpressionSearch:
 
 @dataclass(frozen=True)
 class Form:
-    """An expression with its non-linear parameters; the words describe variable `along`; a wave may grow."""
+    """An expression with its non-linear parameters; the words describe variable `along`; a wave may grow.
+
+    Sharp steps are in the middle of the gap between two targets, which is all that the readings show of their place.
+    """
 
     kind: Literal["polynomial", "hump", "step", "steps", "wave"]
     expression: str
     searched: tuple[ExpressionSearch, ...] = ()
     along: int = 0
     grows: int | None = None
+    sharp: bool = False
 
 
 def forms_of(spans: Sequence[Span], period: float | None, harmonics: int = 0) -> Iterator[Form]:
@@ -141,15 +145,23 @@ def _of_one(span: Span) -> Iterator[Form]:
         yield Form(kind, _sum([text, u]), searched)
 
 
-def _stepped(span: Span, places: Sequence[LocalPlace]) -> Form:
-    """One step or several; each may be anywhere between the values beside it."""
+def _stepped(span: Span, places: Sequence[LocalPlace], sharp: bool) -> list[Form]:
+    """One step, also beside a slope, or several; each may be anywhere between the values beside it.
+
+    Args:
+        span: the variable.
+        places: of the steps.
+        sharp: whether each is in the middle between two targets.
+    """
     names = ["centre"] if len(places) == 1 else [f"centre{i}" for i in range(1, len(places) + 1)]
     terms = [f"tanh(({span.name} - {n})/{_short(p.width)})" for n, p in zip(names, places, strict=True)]
-    searched = (
+    searched = tuple(
         ExpressionSearch(n, p.centre - 0.5 * p.width / SHARP, p.centre + 0.5 * p.width / SHARP, (p.centre,))
         for n, p in zip(names, places, strict=True)
     )
-    return Form("step" if len(places) == 1 else "steps", _sum(terms), tuple(searched))
+    if len(places) > 1:
+        return [Form("steps", _sum(terms), searched, sharp=sharp)]
+    return [Form("step", _sum(t), searched, sharp=sharp) for t in (terms, [*terms, span.scaled])]
 
 
 def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
@@ -262,7 +274,8 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
     whitener = known if few is readings else replace(known, readings=few)
     projected = Projected.of(whitener, base[keep], few.values)
     shape = shaped.shape
-    stepped = [_stepped(spans[0], shape.places)] if shape.place is not None and shape.place.form == "step" else []
+    steps = shape.place is not None and shape.place.form == "step"
+    stepped = _stepped(spans[0], shape.places, _in_gaps(readings, shape)) if steps else []
     forms = stepped if shape.more else [*stepped, *forms_of(spans, shape.period, harmonics)]
     weighed = [
         t
@@ -275,7 +288,7 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
         return None
     # A term that the model already has adds nothing: the form without it comes first.
     best = next(t for t in weighed if t.evidence > top - ALIKE)
-    best = _refined(few, projected, best)
+    best = best if best.form.sharp else _refined(few, projected, best)
     parameters = tuple(p.text(best.theta[p.name]) for p in best.form.searched)
     text = best.form.expression
     return Typed(text, parameters, best.component, _where(few, base[keep], whitener, best, spans), best.effect,
@@ -295,6 +308,12 @@ def _spans(readings: Readings, shaped: Shaped) -> list[Span] | None:
         step = float(np.median(np.diff(levels))) if len(levels) > 1 else 0.0
         out.append(Span(name, float(value.min()) - zero, float(value.max()) - zero, step, zero))
     return out if all(s.high > s.low for s in out) else None
+
+
+def _in_gaps(readings: Readings, shape: Shape) -> bool:
+    """Whether each step of a shape is in the middle between two places."""
+    places = np.unique(np.round(readings.channel(shape.over[0])[Ground(readings).groups[shape.group]], 3))
+    return all(in_gap(p, places) for p in shape.places)
 
 
 def _components(readings: Readings, projected: Projected, shaped: Shaped) -> list[str]:
@@ -362,6 +381,9 @@ def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Weighed,
         return (
             f"a {what} at {name} ≈ {significant(theta['centre'] + first.zero)} {unit}, about {full_width} {unit} wide"
         )
+    if best.form.kind == "step" and best.form.sharp:
+        low, high = (significant(v + first.zero) for v in (best.form.searched[0].low, best.form.searched[0].high))
+        return f"{A_STEP_BETWEEN} {name} = {low} and {high} {unit}"
     if best.form.kind == "step":
         return f"{A_STEP} {name} ≈ {significant(theta['centre'] + first.zero)} {unit}"
     if best.form.kind == "steps":

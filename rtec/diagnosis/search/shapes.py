@@ -483,14 +483,46 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
                 for i in (-1, 0, 1)
                 for k in (-1, 0, 1)
             )
-        out += best
+        sharp = weigh_all(ground, projected, (_in_gap(w.shape, mine) for w in best))
+        out += [s if _as_sharp(w, s) else w for w, s in zip(best, sharp, strict=True)]
     return out
+
+
+def _in_gap(shape: Shape, value: Floats) -> Shape:
+    """A step as a sharp one in the middle of the two places beside it: often that is all that the readings show."""
+    if shape.place is None or shape.place.form != "step":
+        return shape
+    places = np.unique(np.round(value, 3))
+    at = min(max(int(np.searchsorted(places, shape.place.centre)), 1), len(places) - 1)
+    low, high = float(places[at - 1]), float(places[at])
+    return replace(shape, place=LocalPlace("step", 0.5 * (low + high), SHARP * (high - low)))
+
+
+def _as_sharp(found: Weighed, sharp: Weighed) -> bool:
+    """Whether a step is as likely sharp between two places as it is where it was found."""
+    if found.shape.place is None or sharp.shape.place is None:
+        return False
+    narrow = found.shape.place.width < NARROW * sharp.shape.place.width / SHARP
+    return sharp.log_evidence > found.log_evidence - (ALIKE_NARROW if narrow else ALIKE)
+
+
+def in_gap(place: LocalPlace, places: Floats) -> bool:
+    """Whether a step is a sharp one in the middle between two places, (p,)."""
+    at = int(np.searchsorted(places, place.centre))
+    if not 0 < at < len(places):
+        return False
+    low, high = float(places[at - 1]), float(places[at])
+    middle, width = 0.5 * (low + high), SHARP * (high - low)
+    return abs(place.centre - middle) < CLOSE * width and abs(place.width / width - 1.0) < CLOSE
 
 
 MOST_STEPS, EDGES, BETWEEN, SHARP = 4, 64, 3, 0.1
 """Most steps in one curve, and most places where one is looked for: the widest gaps between places. Fewest places of a
 level between two steps; the width of a step as a share of its gap."""
 SWEEPS = 3
+ALIKE, ALIKE_NARROW, NARROW, CLOSE = 2.0, 8.0, 0.25, 0.02
+"""A step is as likely sharp between two targets as anywhere where the log evidence of both differs by less; of one that
+is narrower than this share of the gap, where it differs by less than the second. Places are rounded."""
 
 
 def _steps(ground: Ground, projected: Projected, group: str, name: str) -> list[Weighed]:

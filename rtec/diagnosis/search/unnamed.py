@@ -22,6 +22,9 @@ RICH, LEAN, PLAIN = 10**6, 8, 3
 """Largest number of coefficients of any, simple and plain shapes."""
 LEVEL = 0.25
 """Steps leave less than this share of the variance of the places."""
+FEW_PLACES, LEANS, SECOND = 5, 0.05, 0.1
+"""Of more places than these, all but the two that a shape explains most of show more than this share of it. The second
+of these two is one of them only if it shows this share of what the first does."""
 SHAPES = 4
 """Shapes without a name that are refitted from each of the two screens; half as many simple and plain ones."""
 
@@ -36,6 +39,8 @@ class Shaped:
     log_evidence: float
     drop: float
     gain: float
+    few: "FewTargets | None" = None
+    """The places that carry it, where no more than two do."""
 
     @property
     def holds(self) -> bool:
@@ -90,7 +95,13 @@ def best_shapes(
         part = s.columns @ s.fit.values[base.shape[1] :][: s.columns.shape[1]]
         return not within_display(readings, base, part, errors) and (not s.shape.more or _in_steps(whole, base, s))
 
-    return [s for s in each(shaped, _picked(screens), len(readings)) if s.holds and shows(s)]
+    axes = [a.channel for a in readings.machine.axes]
+
+    def with_few(s: Shaped) -> Shaped:
+        along = [c for c in s.shape.variables if c in axes]
+        return replace(s, few=few_targets(readings, base, s.columns, s.fit.whitener, along))
+
+    return [with_few(s) for s in each(shaped, _picked(screens), len(readings)) if s.holds and shows(s)]
 
 
 def _in_steps(ground: Ground, base: Floats, s: Shaped) -> bool:
@@ -110,6 +121,52 @@ def _in_steps(ground: Ground, base: Floats, s: Shaped) -> bool:
     free = len(count) - 1 - len(s.shape.places) - s.shape.searched
     with_it, without = spread(np.concatenate([base, s.columns], axis=1)), spread(base)
     return free > 0 and with_it / free < LEVEL * without / (len(count) - 1)
+
+
+@dataclass(frozen=True)
+class FewTargets:
+    """One or two places that carry all of what an error along axes explains.
+
+    Attributes:
+        channels: the axes.
+        at_mm: the places, the one that carries more first, (1 or 2, axes).
+        recur: whether most readings there show it, not only one.
+    """
+
+    channels: tuple[str, ...]
+    at_mm: Floats
+    recur: bool
+
+
+def few_targets(
+    readings: Readings, base: Floats, columns: Floats, whitener: Whitener, channels: Sequence[str]
+) -> FewTargets | None:
+    """The one or two places that carry what columns explain; None where other places show it as well.
+
+    What one or two places carry is theirs alone, and often a single wrong reading's.
+
+    Args:
+        readings: the readings.
+        base: columns of the current model, (m, p).
+        columns: of the error, (m, k).
+        whitener: the noise.
+        channels: the axes that it depends on.
+    """
+    if not channels:
+        return None
+    pose = np.round(np.stack([readings.channel(c) for c in channels], axis=1), 3)
+    at, place = np.unique(pose, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    white, values = whitener(np.concatenate([base, columns], axis=1)), whitener(readings.values)
+    without, with_it = (values - c @ solve(c, values) for c in (white[:, : base.shape[1]], white))
+    explained = np.bincount(place, without**2 - with_it**2)
+    two = np.argsort(-explained)[:2]
+    total, rest = float(explained.sum()), float(explained.sum() - explained[two].sum())
+    if len(explained) <= FEW_PLACES or total <= 0.0 or rest > LEANS * total:
+        return None
+    two = two[explained[two] > SECOND * explained[two[0]]]
+    means, middles = (np.array([f(without[place == p]) for p in two]) for f in (np.mean, np.median))
+    return FewTargets(tuple(channels), at[two], bool(np.all(middles * np.sign(means) > 0.5 * np.abs(means))))
 
 
 def _picked(screens: Sequence[Sequence[Weighed]]) -> list[Weighed]:
