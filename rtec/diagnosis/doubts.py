@@ -207,12 +207,12 @@ def _disagree(judged: Judgement) -> list[Doubt]:
         here, there = sizes(off, fitted)
         message = (
             f"The model leaves {here} {unit} of {m.name}, and left {there} {unit} of the readings that it was "
-            "fitted to: an effect may act that did not act then, the machine may have changed since, or the file is of "
-            "another machine or set-up."
+            "fitted to. Check whether it is of this machine."
         )
         step = (
-            "Check whether it is of this machine. With a file of the fit beside it, rtec diagnose tells whether both "
-            "contradict each other."
+            "An effect may act that did not act then, the machine may have changed since, or the file is of another "
+            "machine or set-up. With a file of the fit beside it, rtec diagnose tells whether both contradict each "
+            "other."
         )
         out.append(Doubt("other_machine", message, step))
     return out
