@@ -61,6 +61,7 @@ def test_what_a_subscriber_gets(setup: Setup, daemon: LivingDaemon, broker: Brok
     """Oracle: the daemon's figures; whoever comes later gets the state at once, retained, and no old values."""
     daemon.status.devices = {'box "1"': ["silent"]}
     with served(task(setup, broker.place)), Subscriber(broker) as first:
+        first.until(lambda topic, content: topic == "rtec/mill/state" and content["state"] == "running")
         first.until(lambda topic, _: topic == "rtec/mill/values")
         with Subscriber(broker) as late:
             retained, state = late.until(lambda _topic, _content: True)
