@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +11,14 @@ from numpy.typing import NDArray
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.refit import same_but_finer
+from rtec.diagnosis.search.shapes import LocalPlace
 from rtec.effects import effect_class
 from rtec.effects.expression import expression_from_text
 from rtec.estimation.readings import read
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from tests.support.diagnosis_examples import effects, small_machine
+from tests.support.diagnosis_examples import effects, laser, small_machine
 
 Floats = NDArray[np.float64]
 RUNS, TARGETS, NOISE_UM = 4, 49, 0.3
@@ -175,3 +177,14 @@ def test_beside_a_curve_nothing_else_is_called_a_step(error: Callable[[Floats], 
     heights = np.random.default_rng([seed, 25]).normal(0.0, 2.0, len(CURVE_MM))
     d = beside_curve(line(lambda x: np.interp(x, CURVE_MM, heights) + error(x), seed))
     assert " step" not in d.sentence, d.sentence
+
+
+def test_a_step_whose_gap_nothing_shows_breaks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: where a step was made; the one in its gap moves no reading, as among the close places of two plates."""
+    nowhere = LocalPlace("step", 1e6, 1.0)
+    monkeypatch.setattr("rtec.diagnosis.search.shapes._in_gap", lambda shape, _: replace(shape, place=nowhere))
+    m = laser(["scale,component=EXX,axis=X,k=12"], 3)
+    stepped = replace(m, readings={"reading_um": m.readings["reading_um"] + 4.0 * (m.channels["x"] > 101.0)})
+    d = diagnose(Model(small_machine(), effects("scale,component=EXX,axis=X,k=12"), name="m"), [stepped], draws=50)
+    assert d.unknown is not None
+    assert d.unknown.channels == ("x",)

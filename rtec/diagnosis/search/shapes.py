@@ -483,8 +483,10 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
                 for i in (-1, 0, 1)
                 for k in (-1, 0, 1)
             )
-        sharp = weigh_all(ground, projected, (_in_gap(w.shape, mine) for w in best))
-        out += [s if _as_sharp(w, s) else w for w, s in zip(best, sharp, strict=True)]
+        for found in best:
+            # Of places that are close together none may be left to weigh.
+            sharp = weigh_all(ground, projected, [_in_gap(found.shape, mine)])
+            out += sharp if sharp and _as_sharp(found, sharp[0]) else [found]
     return out
 
 
