@@ -223,7 +223,7 @@ def targets_apart(channels: Sequence[str], at_mm: Sequence[Sequence[float]]) -> 
     places = [", ".join(f"{c.upper()} = {significant(v)}" for c, v in zip(channels, at, strict=True)) for at in at_mm]
     one = len(places) == 1
     which = f"The target{'' if one else 's'} at {' mm and '.join(places)} mm stand{'s' if one else ''} out"
-    message = f"{which} from all others in every run: that is no shape."
+    message = f"{which} from all others in most readings there: that is no shape."
     step = f"Measure once more, with further targets close beside {'it' if one else 'them'}."
     return Doubt("few_targets", message, step, fatal=True)
 

@@ -291,8 +291,8 @@ def _less_likely_first(d: Diagnosis) -> str:
     if d.together:
         return "Probability: that it is all that is missing; the first is named beside what has no name."
     return (
-        "The first is less probable, but has fewer numbers and predicts held-out runs as well, or predicts them far "
-        "better."
+        "The first is less probable. It comes first because it has fewer numbers, is what the instrument reads, or "
+        "predicts held-out runs better."
     )
 
 

@@ -89,7 +89,9 @@ def test_a_first_name_of_low_probability_is_explained() -> None:
     assert said in caption(beside)
     assert "probability of the first" not in str(diagnosis_page(beside, figures=False).numbers)
     alone = answer("missing_effect", low, high)
-    assert "The first is less probable, but has fewer numbers and predicts held-out runs as well" in caption(alone)
+    assert "The first is less probable. It comes first because it has fewer numbers, is what the instrument" in caption(
+        alone
+    )
     usual = answer("missing_effect", finding(GROWTH), finding(CURVE, 2, 0.1))
     assert "robab" not in caption(usual)
 

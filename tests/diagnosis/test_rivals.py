@@ -341,3 +341,15 @@ def test_of_one_shape_what_is_read_directly_leads(instrument: str, setup: dict[s
     ordered = search._direct_first([angle, *(t for t in found if t is not angle)])
     assert names[ordered[0].number] == led_by
     assert set(map(id, ordered)) == set(map(id, found))
+
+
+def test_two_waves_of_nearly_one_period_are_one() -> None:
+    """Oracle: the periods: 9.97 and 10.03 mm are one wave that beats, 5 mm is another wave."""
+    m = laser(["cyclic_screw,component=EXX,axis=X,s1=1,c1=0,pitch=5"], 3, targets={"step_mm": 1.7})
+    search = Search(Model(small_machine(), (), name="m"), clean([m]), 1, 0.05, 50, None, False, lambda *_: None)
+    names = [(c.effect.effect, c.effect.component) for c in search.candidates]
+    screw: Any = SimpleNamespace(number=names.index(("cyclic_screw", "EXX")), theta={"pitch": 10.03})
+    pole = names.index(("cyclic_pole", "EXX"))
+    assert search.refits._same_wave(pole, {"period": 9.97}, screw)
+    assert not search.refits._same_wave(pole, {"period": 5.0}, screw)
+    assert not search.refits._same_wave(names.index(("backlash", "EXX")), {}, screw)
