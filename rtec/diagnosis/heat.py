@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import ALONE, Doubt
+from rtec.diagnosis.doubts.doubt import ALONE, Doubt
 from rtec.effects import Effect
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns

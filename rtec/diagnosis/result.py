@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.effects import Effect
 from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.judge import Judgement

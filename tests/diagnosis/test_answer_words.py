@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import Improved

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import Search, diagnose, instead_of_files
 from rtec.estimation.outliers import clean

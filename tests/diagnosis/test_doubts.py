@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.extend.add import add, refused
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rtec.characterise import fitted_model
 from rtec.characterise.candidates import thermal
-from rtec.diagnosis import doubts
+from rtec.diagnosis.doubts.edited import as_in_the_fit
+from rtec.diagnosis.doubts.edits import Edit
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search import diagnose as search
 from rtec.diagnosis.search.diagnose import diagnose
@@ -124,10 +125,10 @@ def test_the_record_that_a_model_was_fitted_to_is_not_accused_of_a_turned_axis()
     """A fit follows the places that the record has: with X turned round it might fit better, but X was not turned."""
     m = line(5, growth=8.0, fixed_mm=-600.0)
     known = fitted_model([m], wanted=read_wanted("scale:EXX,axis_expansion:EXX:sensor=T_bed", m.machine))
-    turned = doubts._Edit(0.0, "turned_axis", "", "", "")
+    turned = Edit(0.0, "turned_axis", "", "", "")
     of_another_day = replace(known, measurements={"another": "day"})
-    assert doubts._as_in_the_fit(Judgement(of_another_day, clean([m])), turned)
-    assert not doubts._as_in_the_fit(Judgement(known, clean([m])), turned)
+    assert as_in_the_fit(Judgement(of_another_day, clean([m])), turned)
+    assert not as_in_the_fit(Judgement(known, clean([m])), turned)
     d = diagnose(known, [m], draws=50)
     assert d.findings[0].effect.effect in ("mount_expansion", "axis_expansion")
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.extend.add import add, refused
 from rtec.diagnosis.extend.improve import improve
 from rtec.machine import machine_from

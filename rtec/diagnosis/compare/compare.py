@@ -15,7 +15,7 @@ from rtec.diagnosis.compare.bins import unit_of
 from rtec.diagnosis.compare.locate import locate
 from rtec.diagnosis.compare.result import Compared, Comparison, EffectShare, Outside, Region, Size, Traces
 from rtec.diagnosis.compare.shape import drift_goes_with, shape_of
-from rtec.diagnosis.doubts import doubts
+from rtec.diagnosis.doubts.record import doubts
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import MeasurementError
 from rtec.estimation.columns import effect_columns, ordered

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.shape import ResidualShape
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation.floor import Floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings

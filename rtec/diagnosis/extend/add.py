@@ -15,7 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import Doubt, doubts
+from rtec.diagnosis.doubts.doubt import Doubt
+from rtec.diagnosis.doubts.record import doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.extend.parameter_scan import scan_ranges
 from rtec.diagnosis.extend.record_event import note_of, of_record

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt, unexplained
+from rtec.diagnosis.doubts.doubt import DECIDES_NOTHING, Doubt
+from rtec.diagnosis.doubts.record import unexplained
 from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import Doubt, doubts, targets_apart
+from rtec.diagnosis.doubts.doubt import Doubt
+from rtec.diagnosis.doubts.record import doubts, targets_apart
 from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
