@@ -14,7 +14,8 @@ from rtec.cli.main import status
 from rtec.diagnosis.extend.add import rivals_of
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.search.refit import live_columns, polished, prepare
+from rtec.diagnosis.search.polish import live_columns, polished
+from rtec.diagnosis.search.prepared import prepare
 from rtec.diagnosis.search.screen import Projected
 from rtec.errors import MeasurementError
 from rtec.estimation.gls import resolved

@@ -15,7 +15,7 @@ from rtec.cli.main import status
 from rtec.diagnosis.plan.plan import Extra
 from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, with_gains
 from rtec.diagnosis.result import Alike
-from rtec.diagnosis.search.refit import prepare
+from rtec.diagnosis.search.prepared import prepare
 from rtec.diagnosis.words import NONE_SETTLES
 from rtec.estimation.outliers import clean
 from rtec.machine import load_machine

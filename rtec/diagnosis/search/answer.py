@@ -30,7 +30,8 @@ from rtec.diagnosis.search.confounded import (
 )
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_effects, significant, untestable
-from rtec.diagnosis.search.refit import NOTHING_MUCH, Prepared, Refits, Refitted
+from rtec.diagnosis.search.prepared import Prepared
+from rtec.diagnosis.search.refit import NOTHING_MUCH, Refits, Refitted
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped

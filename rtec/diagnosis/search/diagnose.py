@@ -31,6 +31,7 @@ from rtec.diagnosis.search.confounded import (
 )
 from rtec.diagnosis.search.drift_alone import drift_makes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
+from rtec.diagnosis.search.prepared import prepare
 from rtec.diagnosis.search.refit import (
     BESIDE,
     MORE,
@@ -41,7 +42,6 @@ from rtec.diagnosis.search.refit import (
     Refitted,
     far_better,
     led,
-    prepare,
     same_but_finer,
 )
 from rtec.diagnosis.search.run_drift import runs_differ

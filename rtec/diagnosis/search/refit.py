@@ -1,12 +1,4 @@
-"""Refits the best candidates together with the noise: each beside the model, and each beside another one.
-
-A grid finds the hill, not its top: a wave along a long axis whose phase is off by part of a turn at the ends explains
-less than it could, and a standard error about a grid point claims too much. So the non-linear parameters of a
-candidate are refined between the neighbours of the best grid value. Values farther away were not searched, and the
-evidence does not account for them.
-
-The module also prepares readings for the search.
-"""
+"""Refits the best candidates together with the noise: each beside the model, and each beside another one."""
 
 import itertools
 import math
@@ -14,121 +6,27 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.search.confounded import ANOTHER, SAME, WITHIN, cosine, directness, diverse, period_mm, plausibility
-from rtec.diagnosis.search.screen import UNMOVED, Bank, Projected, Screen, orthonormal, screen, screen_all
+from rtec.diagnosis.search.polish import Theta, at_instant, live_columns, polished
+from rtec.diagnosis.search.prepared import Prepared
+from rtec.diagnosis.search.screen import Bank, Projected, Screen, orthonormal, screen, screen_all
 from rtec.diagnosis.search.shapes import Ground
 from rtec.diagnosis.search.unnamed import Shaped
-from rtec.effects import Effect, Parameter
+from rtec.effects import Effect
 from rtec.effects.cyclic import Cyclic
-from rtec.estimation import floor
 from rtec.estimation.candidates import REAL, EffectCandidate
-from rtec.estimation.columns import base_of
-from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, solve, without_nuisance
-from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
-from rtec.estimation.outliers import Clean, WrongReading
+from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, without_nuisance
+from rtec.estimation.noise import Whitener, find_noise, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.targets import WAVES, predicts_targets
-from rtec.estimation.visible import within_record
-from rtec.model import Model
-from rtec.model.fit import SearchScale
 from rtec.parallel import each
 
 Floats = NDArray[np.float64]
-Theta = Mapping[str, float]
-
-EVALUATIONS = 12
-OPTIONS: dict[str, Any] = {"ftol": 1e-5, "xtol": 1e-6, "diff_step": 1e-4, "max_nfev": EVALUATIONS}
-EDGE, END, MOVES = 1e-6, 1e-3, 3
-"""Distances from the ends of a search, as shares of it, from which it starts, and from which its result is at an end;
-and how often it is then moved."""
-
-
-def polished(
-    effect: Effect, grid: Sequence[Theta], best: int, readings: Readings, projected: Callable[[], Projected]
-) -> dict[str, float]:
-    """Non-linear parameters refined by least squares from the best grid value; that value where nothing is better.
-
-    Args:
-        effect: the candidate.
-        grid: values of its non-linear parameters.
-        best: number of the best grid value.
-        readings: the readings.
-        projected: gives the whitened readings less the current model; called only where a parameter can be refined.
-    """
-    start = dict(grid[best])
-    parameters = within_record(effect, readings.measurements)
-    smooth = [p for p in parameters if _smooth(p)]
-    free = [_between(p, grid, start) for p in smooth]
-    instants = {p.name: _nearby(p.name, grid, start, readings) for p in parameters if _instant(p)}
-    if not free and not instants:
-        return start
-    search = _Search(effect, start, free, readings, projected())
-    for name, times in instants.items():
-        search.start = min(({**search.start, name: t} for t in times), key=search.squares, default=start)
-    if not free:
-        return search.start
-    found = search.best()
-    for _ in range(MOVES):
-        # A bump between two places of the grid looked wider there than it is.
-        moved = [
-            _about(p, b, found[p.name]) if _at_end(p, b, found[p.name]) else b
-            for p, b in zip(smooth, search.free, strict=True)
-        ]
-        if moved == search.free:
-            break
-        search = _Search(effect, found, moved, readings, search.projected)
-        found = search.best()
-    return found
-
-
-def _at_end(p: Parameter, box: Parameter, value: float) -> bool:
-    """Whether a place or a length is at an end of a search that is no bound of it; a delay is not followed farther."""
-    place = SearchScale.of(box).place(value)
-    return p.unit == "mm" and ((place < END and box.low > p.low) or (place > 1.0 - END and box.high < p.high))
-
-
-def _about(p: Parameter, box: Parameter, value: float) -> Parameter:
-    """A search of the same width about a value."""
-    if p.low > 0.0:
-        factor = math.sqrt(box.high / box.low)
-        return replace(box, low=max(value / factor, p.low), high=min(value * factor, p.high))
-    half = 0.5 * (box.high - box.low)
-    return replace(box, low=max(value - half, p.low), high=min(value + half, p.high))
-
-
-def _smooth(p: Parameter) -> bool:
-    """Whether a parameter is bounded and changes the readings smoothly; an instant between readings does not."""
-    return math.isfinite(p.low) and math.isfinite(p.high) and p.low < p.high and not _instant(p)
-
-
-def _between(p: Parameter, grid: Sequence[Theta], start: Theta) -> Parameter:
-    """The parameter bounded by the neighbouring grid values; at an end of the grid, by the same distance again."""
-    values = sorted({t[p.name] for t in grid})
-    if len(values) < 2:
-        return p
-    at = values.index(start[p.name])
-    here = values[at]
-    even = p.low <= 0.0
-    below = values[at - 1] if at else (2.0 * here - values[1] if even else here * here / values[1])
-    last = at == len(values) - 1
-    above = (2.0 * here - values[-2] if even else here * here / values[-2]) if last else values[at + 1]
-    return replace(p, low=max(below, p.low), high=min(above, p.high))
-
-
-def _instant(p: Parameter) -> bool:
-    return p.unit == "s" and p.name.startswith("t0")
-
-
-def live_columns(effect: Effect, theta: Theta, readings: Readings) -> Floats:
-    """Columns of an effect, (m, k); zero where its usual size moves the readings by less than rounding."""
-    columns = readings.columns(effect, theta)
-    usual = np.array([p.typical for p in effect.coefficients(readings.machine)])
-    return np.asarray(columns * (np.sqrt(np.mean(columns**2, axis=0)) * usual > UNMOVED))
 
 
 def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
@@ -145,56 +43,6 @@ def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
     each_one = np.mean((plain - plain.mean(axis=0)) ** 2, axis=0)
     explained = np.sum(Projected.of(whitener, base, readings.values).take_out(whitener(columns)) ** 2, axis=0)
     return np.asarray(np.clip(explained / np.maximum(each_one, 1e-300), 2.0, float(len(readings))))
-
-
-def _nearby(name: str, grid: Sequence[Theta], start: Theta, readings: Readings) -> list[float]:
-    """Instants between readings from the grid value below to the one above, the grid's first."""
-    values = sorted({t[name] for t in grid})
-    at = values.index(start[name])
-    low, high = values[max(at - 1, 0)], values[min(at + 1, len(values) - 1)]
-    times = np.unique(readings.time_s)
-    between = 0.5 * (times[1:] + times[:-1])
-    return [start[name], *between[(between > low) & (between < high)].tolist()]
-
-
-class _Search:
-    def __init__(
-        self, effect: Effect, start: dict[str, float], free: list[Parameter], readings: Readings, projected: Projected
-    ) -> None:
-        self.effect, self.start, self.free = effect, start, free
-        self.readings, self.projected = readings, projected
-        self.scales = [SearchScale.of(p) for p in free]
-
-    def best(self) -> dict[str, float]:
-        """Variable projection from the start, within the bounds."""
-        from scipy.optimize import least_squares
-
-        start = np.array([s.place(self.start[p.name]) for p, s in zip(self.free, self.scales, strict=True)])
-        start = np.clip(start, EDGE, 1.0 - EDGE)
-        first = self._left(start)
-        found = least_squares(self._left, start, bounds=(0.0, 1.0), **OPTIONS)
-        better = float(found.fun @ found.fun) < float(first @ first)
-        return self._at(found.x) if better else self.start
-
-    def _at(self, x: Floats) -> dict[str, float]:
-        pairs = zip(self.free, self.scales, x, strict=True)
-        return self.start | {p.name: s.value(float(v)) for p, s, v in pairs}
-
-    def squares(self, theta: Theta) -> float:
-        """Sum of squared residuals with the best linear coefficients."""
-        left = self._left_at(theta)
-        return float(left @ left)
-
-    def _left(self, x: Floats) -> Floats:
-        return self._left_at(self._at(x))
-
-    def _left_at(self, theta: Theta) -> Floats:
-        with np.errstate(all="ignore"):
-            columns = live_columns(self.effect, theta, self.readings)
-        if not np.isfinite(columns).all():
-            return self.projected.left
-        white = self.projected.take_out(self.projected.whitener(columns))
-        return np.asarray(self.projected.left - white @ solve(white, self.projected.left))
 
 
 QUICKEST, HALF_WAVES = 3.0, 60
@@ -232,49 +80,6 @@ def slow_slopes(noise: Whitener) -> Floats:
         whole[s.part] = own / np.maximum(np.sqrt(np.mean(own**2, axis=0)), REAL["mm"])
         out.append(whole)
     return np.concatenate(out, axis=1)
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """The readings that count, the current model's columns, and the noise.
-
-    Attributes:
-        readings: temperatures smoothed.
-        base: columns of the current model, (m, p).
-        predicted: by the model, (m,).
-        whitener: the noise.
-        wrong: readings that were rejected.
-        known: whether the model's numbers are from other readings, with their errors.
-    """
-
-    readings: Readings
-    base: Floats
-    predicted: Floats
-    whitener: Whitener
-    wrong: tuple[WrongReading, ...]
-    known: bool = False
-
-    @property
-    def kept(self) -> Floats | None:
-        """Prediction of the model with the numbers that it has from other readings, (m,); None where it has none."""
-        return self.predicted if self.known else None
-
-
-def prepare(model: Model, given: Clean, earlier: bool = False) -> Prepared:
-    """Smoothed temperatures, the model's prediction, and the noise.
-
-    Args:
-        model: the current model.
-        given: the readings.
-        earlier: whether the model's numbers come from other readings although it names these.
-    """
-    readings = given.smoothed()
-    base = base_of(model, readings)
-    left = floor.cleaned(readings, readings.values - base.columns @ solve(base.columns, readings.values))
-    whitener = find_noise(readings, base.columns, least=least_noise(readings, left))
-    again = any(m.fingerprint in model.measurements.values() for m in readings.measurements)
-    known = (earlier or not again) and any(f.errors for f in model.effects)
-    return Prepared(readings, base.columns, base.predicted, whitener, given.wrong, known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -849,7 +654,7 @@ class Refits:
 
     def at_instant(self, number: int) -> bool:
         """Whether a candidate is an event at one instant."""
-        return any(map(_instant, self.candidates[number].effect.nonlinear(self.readings.machine)))
+        return any(map(at_instant, self.candidates[number].effect.nonlinear(self.readings.machine)))
 
     def jumps_again(self, t: Refitted) -> bool:
         """Whether an event at one instant repeats at others, at least half as large: a set-up that moves."""
