@@ -81,7 +81,7 @@ def _worn_screw(rng: np.random.Generator) -> Fault:
         return np.asarray(-0.5 * size * worn * here.way["X"])
 
     words = f"a screw of X worn around {middle:.0f} mm: {size:.1f} µm more play there"
-    return Fault("worn-screw", words, "EXX", ("backlash_position",), error, {"X": 0.6 * size})
+    return Fault("worn-screw", words, "EXX", ("backlash_zone", "backlash_position"), error, {"X": 0.6 * size})
 
 
 def _hot_nut(rng: np.random.Generator) -> Fault:

@@ -43,6 +43,7 @@ from rtec.effects.reversal import (
     BacklashPosition,
     BacklashTemperature,
     BacklashWear,
+    BacklashZone,
     LostMotion,
     ReversalSpike,
     Stribeck,
@@ -274,6 +275,7 @@ EFFECTS: dict[str, type[Effect]] = {
     "guide_twist": GuideTwist,
     "backlash": Backlash,
     "backlash_position": BacklashPosition,
+    "backlash_zone": BacklashZone,
     "backlash_wear": BacklashWear,
     "backlash_load": BacklashLoad,
     "backlash_temperature": BacklashTemperature,
@@ -313,8 +315,8 @@ FAMILIES: dict[str, tuple[str, ...]] = {
         "guide_curvature", "guide_twist",
     ),
     "reversal": (
-        "backlash", "backlash_position", "backlash_wear", "backlash_load", "backlash_temperature", "angular_reversal",
-        "lost_motion", "reversal_spike", "stribeck",
+        "backlash", "backlash_position", "backlash_zone", "backlash_wear", "backlash_load", "backlash_temperature",
+        "angular_reversal", "lost_motion", "reversal_spike", "stribeck",
     ),
     "motion": ("servo_lag", "servo_phase", "change_over", "guide_lift", "inertia"),
     "heat": (

@@ -63,7 +63,7 @@ class BacklashPosition(AxisEffect):
     """Reversal that changes along the axis: `e = d (b0 + b1 u + b2 u² …)`."""
 
     about: ClassVar[About] = About(
-        title="Position-dependent backlash (wear zone, wind-up)",
+        title="Position-dependent backlash (wind-up, wear)",
         equation="e = d·(b0 + b1·u + b2·u²)",
         typical="20-100 % of the backlash",
         seen_by=("laser_linear", "tool_tip"),
@@ -80,6 +80,7 @@ class BacklashPosition(AxisEffect):
                 "change the order of the targets",
             ),
             Confusion("backlash", "the same everywhere", "targets over the whole travel, both directions"),
+            Confusion("backlash_zone", "one length of the axis is worn", "targets close to its ends"),
         ),
         reveal="laser in both directions over the whole travel",
     )
@@ -110,7 +111,7 @@ class BacklashPosition(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Degrees for a linear change, a bent one, and a worn zone along the axis."""
+        """Degrees for a linear change, a bent one, and one with more bends."""
         for degree in (1, 2, 4):
             yield {"axis": around.moved.name, "degree": degree}
 
@@ -138,6 +139,55 @@ class Reversal(AxisEffect):
         """`½ d g`."""
         direction = channels.value(self.the_axis(machine).direction_channel)
         return [direction * 0.5 * self.grows(machine, channels, theta)]
+
+
+ZONES, HALF_WIDTHS = 12, (0.05, 0.1, 0.2, 0.35)
+"""Number of places of a worn length that a search tries; and half of its length, as shares of the travel."""
+
+
+class BacklashZone(Reversal):
+    """Play of a worn length of a screw, a rack or a guide: `e = ½ B d exp(-((q - q0)/w)⁴)`, nothing beside it."""
+
+    about: ClassVar[About] = About(
+        title="Backlash of a worn length",
+        equation="e = ½·B·d·exp(-((q - q0)/w)⁴), q0 its middle, w half of its length",
+        typical="1-10 µm over 50-300 mm, where most work is done",
+        seen_by=("laser_linear", "tool_tip"),
+        source="worn screws",
+        confusions=(
+            Confusion("backlash_position", "play that changes smoothly along the axis", "targets close to its ends"),
+            Confusion("piecewise_position", "the same in both directions", "dense targets, both directions"),
+        ),
+        reveal="laser in both directions, with targets close together where the machine works most",
+    )
+    driven_by: ClassVar[tuple[str, ...]] = ("direction", "position")
+    effect: Literal["backlash_zone"] = "backlash_zone"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`B`: in the middle."""
+        del machine
+        return (Parameter("B", self.unit, typical=4.0),)
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`q0` and `w`: middle and half of the length."""
+        low, high = self.the_axis(machine).travel_mm
+        span = high - low
+        middles = tuple(low + span * (i + 0.5) / ZONES for i in range(ZONES))
+        halves = tuple(share * span for share in HALF_WIDTHS)
+        return (
+            Parameter("q0", "mm", low + 0.5 * span, low, high, 0.5 * span, middles),
+            Parameter("w", "mm", halves[1], 0.01 * span, 0.5 * span, halves[1], halves),
+        )
+
+    def more_channels(self, machine: Machine) -> tuple[str, ...]:
+        """The position."""
+        return (self.the_axis(machine).channel,)
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """`exp(-((q - q0)/w)⁴)`."""
+        off = (channels.value(self.the_axis(machine).channel) - theta["q0"]) / theta["w"]
+        square = off * off
+        return np.exp(-(square * square))
 
 
 class BacklashWear(Reversal):

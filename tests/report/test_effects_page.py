@@ -28,10 +28,11 @@ CATALOGUE = set(
         """
     scale polynomial_position piecewise_position cyclic_screw coupling_misalignment interpolation_error cyclic_pole
     straightness squareness parallelism angular_motion guide_curvature guide_twist backlash backlash_position
-    backlash_wear backlash_load backlash_temperature angular_reversal servo_lag servo_phase change_over lost_motion
-    reversal_spike stribeck guide_lift inertia axis_expansion mount_expansion axis_expansion_nonuniform spindle_growth
-    spindle_speed_shift spindle_tilt column_tilt bed_bending ambient_drift coolant_expansion ram_sag cross_talk
-    load_deformation force_deflection daily_drift wear_drift missed_counts centre_offset instrument_drift outliers
+    backlash_zone backlash_wear backlash_load backlash_temperature angular_reversal servo_lag servo_phase change_over
+    lost_motion reversal_spike stribeck guide_lift inertia axis_expansion mount_expansion axis_expansion_nonuniform
+    spindle_growth spindle_speed_shift spindle_tilt column_tilt bed_bending ambient_drift coolant_expansion ram_sag
+    cross_talk load_deformation force_deflection daily_drift wear_drift missed_counts centre_offset instrument_drift
+    outliers
 """,
     )
 )

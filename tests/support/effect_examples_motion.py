@@ -52,6 +52,11 @@ OF_MOTION: tuple[Example, ...] = (
         lambda s, t: [np.where(s.value("d_z") > 0, 0.5, -0.5) * lag(rise(s, "T_bed"), t["tau"])], {"tau": 400.0},
         axis="Z", sensor="T_bed", lag=True,
     ),
+    example(
+        "backlash_zone", "EXX", {"B": "um"},
+        lambda s, t: turned(s, stats.gennorm.pdf((s.value("x") - t["q0"]) / t["w"], 4) / stats.gennorm.pdf(0.0, 4)),
+        {"q0": 130.0, "w": 45.0}, axis="X",
+    ),
     example("backlash_load", "EXX", {"k": "um_per_100kg"},
             fixed_theta(lambda s: turned(s, s.value("load_kg") / 100.0)), axis="X"),
     example("backlash_wear", "EXX", {"w": "um_per_h"}, fixed_theta(lambda s: turned(s, hours(s))), axis="X"),

@@ -398,9 +398,10 @@ def _leading(ground: Ground, leaders: Sequence[str]) -> Iterator[tuple[str, str]
 
 
 def _along(ground: Ground, moving: Sequence[str], leaders: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Positions, each with a variable that may change a fine curve along it."""
+    """Positions, each with a variable that may change a fine curve along it, such as the axis's own direction."""
     with_it = {*leaders, "load_kg", "spindle_rpm", *moving, *(n for n in ground.known if n.startswith("|"))}
-    return ((a, b) for a in moving for b in ground.known if b in with_it)
+    own = {a.channel: a.direction_channel for a in ground.readings.machine.axes}
+    return ((a, b) for a in moving for b in ground.known if b in with_it or b == own[a])
 
 
 def _waves(ground: Ground, projected: Projected, group: str, moving: Sequence[str]) -> list[Weighed]:
