@@ -290,19 +290,38 @@ def _without_slopes(readings: Readings, s: Series, values: Floats) -> Floats:
     axis = readings.machine.axes[moving[0][0]]
     at = readings.poses_mm[s.source][s.row, moving[0][0]]
     way = np.sign(readings.states[s.source].value(axis.direction_channel)[s.row])
-    edges = np.flatnonzero(np.concatenate([[True], (np.diff(way) != 0) | (np.diff(s.run) != 0), [True]]))
-    out = values.copy()
-    for a, b in itertools.pairwise(edges.tolist()):
-        if b - a >= LINE and np.ptp(at[a:b]) > STILL_MM:
-            line = np.stack([np.ones(b - a), (at[a:b] - at[a:b].mean()) / np.ptp(at[a:b])], axis=1)
-            weight, left = np.ones(b - a), values[a:b]
-            for _ in range(ROUNDS):
-                root = np.sqrt(weight)
-                left = values[a:b] - line @ np.linalg.lstsq(line * root[:, None], values[a:b] * root, rcond=None)[0]
-                sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(left))), 1e-12)
-                weight = 1.0 / (1.0 + (left / (NEAR * sigma)) ** 2)
-            out[a:b] = left
-    return out
+    first = np.flatnonzero(np.concatenate([[True], (np.diff(way) != 0) | (np.diff(s.run) != 0)]))
+    counts = np.diff(first, append=len(at))
+    spans = np.maximum.reduceat(at, first) - np.minimum.reduceat(at, first)
+    of = np.repeat(np.arange(len(first)), counts)
+    lines = (counts >= LINE) & (spans > STILL_MM)
+    if not lines.any():
+        return values
+
+    def means(v: Floats, weight: Floats) -> Floats:
+        """Weighted mean of each way, at each reading, (n,)."""
+        return np.asarray((np.add.reduceat(v * weight, first) / np.add.reduceat(weight, first))[of])
+
+    weight, left = np.ones(len(at)), values
+    for _ in range(ROUNDS):
+        u, y = at - means(at, weight), values - means(values, weight)
+        square = np.maximum(means(u * u, weight), 1e-300)
+        left = y - means(u * y, weight) / square * u
+        sigma = SIGMA_PER_MAD * np.maximum(_middles(np.abs(left), of, first, counts), 1e-12)
+        weight = 1.0 / (1.0 + (left / (NEAR * sigma[of])) ** 2)
+    return np.where(lines[of], left, values)
+
+
+def _middles(values: Floats, of: Ints, first: Ints, counts: Ints) -> Floats:
+    """Median of each stretch, (stretches,).
+
+    Args:
+        values: all, (n,).
+        of: the stretch of each, rising, (n,).
+        first, counts: where each stretch begins, and how many values it has.
+    """
+    ordered = values[np.lexsort((values, of))]
+    return np.asarray(0.5 * (ordered[first + (counts - 1) // 2] + ordered[first + counts // 2]))
 
 
 def _without_runs(s: Series, columns: Floats, weight: Floats) -> Floats:

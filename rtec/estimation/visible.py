@@ -188,9 +188,9 @@ def _way_mm(position_mm: Floats) -> float:
 
     Between two ways the axis jumps. Where most readings belong to none, it is the whole way.
     """
-    at = np.flatnonzero(np.abs(np.diff(position_mm)) > SAME_MM) + 1
-    ways = np.split(position_mm, at)
-    spans, counts = np.array([float(np.ptp(w)) for w in ways]), np.array([len(w) for w in ways])
+    first = np.concatenate([[0], np.flatnonzero(np.abs(np.diff(position_mm)) > SAME_MM) + 1])
+    spans = np.maximum.reduceat(position_mm, first) - np.minimum.reduceat(position_mm, first)
+    counts = np.diff(first, append=len(position_mm))
     fine = spans > FINELY_MM
     if 2 * int(counts[fine].sum()) < len(position_mm):
         return float(np.ptp(position_mm))
