@@ -146,11 +146,11 @@ ZONES, HALF_WIDTHS = 12, (0.05, 0.1, 0.2, 0.35)
 
 
 class BacklashZone(Reversal):
-    """Play of a worn length of a screw, a rack or a guide: `e = ½ B d exp(-((q - q0)/w)⁴)`, nothing beside it."""
+    """Play of a worn length of a screw, a rack or a guide: `e = ½ B d exp(-|(q - q0)/w|^p)`, nothing beside it."""
 
     about: ClassVar[About] = About(
         title="Backlash of a worn length",
-        equation="e = ½·B·d·exp(-((q - q0)/w)⁴), q0 its middle, w half of its length",
+        equation="e = ½·B·d·exp(-|(q - q0)/w|^p), q0 its middle, w half of its length, p how steep its ends are",
         typical="1-10 µm over 50-300 mm, where most work is done",
         seen_by=("laser_linear", "tool_tip"),
         source="worn screws",
@@ -169,14 +169,15 @@ class BacklashZone(Reversal):
         return (Parameter("B", self.unit, typical=4.0),)
 
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`q0` and `w`: middle and half of the length."""
+        """`q0` and `w`: middle and half of the length; `p`: 2 for a bell, more for steeper ends."""
         low, high = self.the_axis(machine).travel_mm
         span = high - low
         middles = tuple(low + span * (i + 0.5) / ZONES for i in range(ZONES))
         halves = tuple(share * span for share in HALF_WIDTHS)
         return (
             Parameter("q0", "mm", low + 0.5 * span, low, high, 0.5 * span, middles),
-            Parameter("w", "mm", halves[1], 0.01 * span, 0.5 * span, halves[1], halves),
+            Parameter("w", "mm", halves[1], 0.8 * halves[0], 0.5 * span, halves[1], halves),
+            Parameter("p", "1", 3.0, 1.5, 8.0, 3.0, (3.0,)),
         )
 
     def more_channels(self, machine: Machine) -> tuple[str, ...]:
@@ -184,10 +185,9 @@ class BacklashZone(Reversal):
         return (self.the_axis(machine).channel,)
 
     def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
-        """`exp(-((q - q0)/w)⁴)`."""
+        """`exp(-|(q - q0)/w|^p)`."""
         off = (channels.value(self.the_axis(machine).channel) - theta["q0"]) / theta["w"]
-        square = off * off
-        return np.exp(-(square * square))
+        return np.exp(-(np.abs(off) ** theta["p"]))
 
 
 class BacklashWear(Reversal):

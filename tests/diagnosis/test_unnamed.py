@@ -3,6 +3,8 @@
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,13 +15,17 @@ from rtec.bench.trials import build
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.shapes import Ground, LocalPlace, Shape
+from rtec.diagnosis.search.unnamed import Shaped, by_own_sensors
+from rtec.estimation.gls import Fit
 from rtec.estimation.readings import read
+from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 Floats = NDArray[np.float64]
+MACHINES = Path(__file__).parents[2] / "configs" / "machines"
 
 
 @pytest.mark.parametrize(("what", "seed"), [("bump", 2), ("step", 1), ("step", 2), ("sawtooth", 1)])
@@ -240,11 +246,11 @@ def test_a_position_and_a_temperature_are_named_where_both_matter(seed: int) -> 
     assert set(depends_on(heated_and_cooled(seed, along=True))) == {"x", "T_bed"}
 
 
-def worn_place(seed: int) -> Measurement:
-    """A laser of a machine that is too long by 9 µm/m and whose nut is worn about one place."""
+def swelling_play(seed: int) -> Measurement:
+    """A laser of a machine that is too long by 9 µm/m and whose play grows and falls back four times."""
     m = laser(["scale,component=EXX,axis=X,k=9", "backlash,component=EXX,axis=X,B=2"], seed)
     x, d = m.channels["x"], m.channels["d_x"]
-    worn = 2.5 * d * np.exp(-(((x - 110.0) / 45.0) ** 2))
+    worn = 2.5 * d * (np.mod(x, 52.0) / 26.0 - 1.0)
     return replace(m, readings={"reading_um": m.readings["reading_um"] + worn})
 
 
@@ -252,7 +258,7 @@ def worn_place(seed: int) -> Measurement:
 def test_a_simple_effect_is_named_beside_a_curve_of_both_directions(seed: int) -> None:
     """Oracle: the formulas that were put in; a surface over position and direction contains both."""
     model = Model(small_machine(), effects("backlash,component=EXX,axis=X,B=2"), name="known")
-    d = diagnose(model, [worn_place(seed)], draws=50)
+    d = diagnose(model, [swelling_play(seed)], draws=50)
     assert d.findings[0].effect.effect == "scale"
     assert d.findings[0].parameters["k"].value == pytest.approx(9.0, abs=1.0)
     assert d.unknown is not None
@@ -272,3 +278,21 @@ def test_simple_effects_are_named_beside_a_curve_along_the_axis() -> None:
     assert "T_bed" in d.findings[0].channels
     assert d.unknown is not None
     assert d.unknown.channels == ("x",)
+
+
+def shape_over(*over: str, evidence: float, drop: float) -> Shaped:
+    """A refitted shape of which only the evidence matters."""
+    return Shaped(Shape("EXX", over, (2,) * len(over)), np.zeros((0, 1)), cast(Fit, None), evidence, drop, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "drop", "first"),
+    [(104.9, 0.971, "T_x_nut"), (104.9, 0.9, "T_z_nut"), (80.0, 0.971, "T_z_nut")],
+    ids=["nearly as likely", "predicts worse", "far less likely"],
+)
+def test_a_shape_follows_the_nut_of_its_own_axis(evidence: float, drop: float, first: str) -> None:
+    """Oracle: which of two nuts that warm alike belongs to the axis, by its name; the readings overrule it."""
+    machine = load_machine(MACHINES / "turning-centre.toml")
+    top, own = shape_over("x", "T_z_nut", evidence=108.0, drop=0.955), ("x", "T_x_nut")
+    others = [top, shape_over(*own, evidence=evidence, drop=drop), shape_over("x", evidence=107.0, drop=0.96)]
+    assert by_own_sensors(top, others, machine).shape.variables == ("x", first)

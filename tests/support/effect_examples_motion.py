@@ -19,6 +19,11 @@ def turned(s: State, value: Any) -> list[Any]:
     return [np.where(s.value("d_x") > 0, 0.5, -0.5) * value]
 
 
+def swelling(off: Any, p: float) -> Any:
+    """The generalised normal distribution of scipy, one in the middle."""
+    return stats.gennorm.pdf(off, p) / stats.gennorm.pdf(0.0, p)
+
+
 def hours(s: State) -> Floats:
     return np.asarray(s.time_s / 3600.0)
 
@@ -54,8 +59,8 @@ OF_MOTION: tuple[Example, ...] = (
     ),
     example(
         "backlash_zone", "EXX", {"B": "um"},
-        lambda s, t: turned(s, stats.gennorm.pdf((s.value("x") - t["q0"]) / t["w"], 4) / stats.gennorm.pdf(0.0, 4)),
-        {"q0": 130.0, "w": 45.0}, axis="X",
+        lambda s, t: turned(s, swelling((s.value("x") - t["q0"]) / t["w"], t["p"])),
+        {"q0": 130.0, "w": 45.0, "p": 2.7}, axis="X",
     ),
     example("backlash_load", "EXX", {"k": "um_per_100kg"},
             fixed_theta(lambda s: turned(s, s.value("load_kg") / 100.0)), axis="X"),

@@ -52,6 +52,7 @@ from rtec.diagnosis.search.unnamed import (
     Shaped,
     adequacy,
     best_shapes,
+    by_own_sensors,
     curves_of,
     few_targets,
     without_idle,
@@ -633,7 +634,9 @@ class Search:
         """Whether only one or two targets show an effect of many numbers along axes."""
         effect, machine = self.candidates[best.number].effect, self.model.machine
         read = effect.channels(machine)
-        if best.columns.shape[1] <= PLAIN or not set(read) <= {c for a in machine.axes for c in a.moving_channels}:
+        if best.columns.shape[1] + len(effect.nonlinear(machine)) <= PLAIN or not set(read) <= {
+            c for a in machine.axes for c in a.moving_channels
+        }:
             return False
         along = [a.channel for a in machine.axes if a.channel in read]
         few = few_targets(self.readings, self.prepared.base, best.columns, best.fit.whitener, along)
@@ -831,8 +834,9 @@ class Search:
 
     def _unknown(self, top: Shaped) -> Unknown:
         """The error without a name, of the variables that it needs."""
+        own = by_own_sensors(top, self._tops, self.model.machine)
         needed = without_idle(
-            top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.held_out_gain
+            own, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.held_out_gain
         )
         return self._of_shape(needed, "time_s" in top.shape.variables)
 

@@ -14,6 +14,7 @@ from rtec.estimation.display import display_errors, within_display
 from rtec.estimation.gls import Fit, solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
+from rtec.machine import Machine
 from rtec.parallel import each
 
 Floats = NDArray[np.float64]
@@ -281,6 +282,39 @@ def without_idle(
     if 1.0 - best.drop > (1.0 + LOSES) * (1.0 - top.drop):
         return top
     return _instead_of_time(best, ground, base, fit, held_out_gain)
+
+
+NEARLY = 0.9
+"""Share of the log evidence from which a shape over sensors of the axis itself is as good, if it predicts as well."""
+
+
+def by_own_sensors(top: Shaped, others: Sequence[Shaped], machine: Machine) -> Shaped:
+    """The best shape, or the same one over temperatures of the axis along which it acts, where that is nearly as good.
+
+    Nuts and motors of all axes warm alike. A sensor whose name says that it is at another axis only follows them.
+
+    Args:
+        top: the best shape.
+        others: the other refitted shapes.
+        machine: names the sensors.
+    """
+
+    def form(t: Shaped) -> tuple[object, ...]:
+        return t.shape.group, t.shape.kind, {v for v in t.shape.variables if v not in machine.sensor_names}
+
+    def elsewhere(t: Shaped) -> int:
+        axes = [a.name for a in machine.axes if a.channel in t.shape.variables]
+        return sum(machine.of_another_axis(v, a) for a in axes for v in t.shape.variables if v in machine.sensor_names)
+
+    most = (1.0 + LOSES) * (1.0 - top.drop)
+    near = [
+        t
+        for t in others
+        if form(t) == form(top) and elsewhere(t) < elsewhere(top)
+        if len(t.shape.variables) == len(top.shape.variables)
+        if t.log_evidence > NEARLY * top.log_evidence and 1.0 - t.drop <= most
+    ]
+    return max(near, key=lambda t: t.log_evidence, default=top)
 
 
 RISES, AS_GOOD = 0.9, 0.6
