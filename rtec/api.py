@@ -440,7 +440,7 @@ def improve(
 
     given = _listed(measurements)
     target = _check_out(out, [p for p in given if isinstance(p, str | Path)])
-    known, _, _ = _model(model, machine)
+    known, path, machine_path = _model(model, machine)
     read, paths = _measurements(given, known.machine)
     done: list[Path] = []
 
@@ -453,7 +453,8 @@ def improve(
 
     result = go_on(known, read, ask=ask, ask_made=ask_made, seed=seed, stage=progress, step=keep)
     written = done[-1] if done else None
-    return _finished(result, written, paths, report, {"model_file": written})
+    last = written or path
+    return _finished(_of_machine(result, last, machine_path), last, paths, report, {"model_file": written})
 
 
 def history(model: ModelLike, *, machine: MachineLike | None = None, report: PathLike | None = None) -> "History":

@@ -302,6 +302,10 @@ def _next(d: Diagnosis) -> list[str]:
         return []
     model, *data = d.files
     last = ("-o", f"{model.with_suffix('')}-more.toml", *d.machine_option)
+    if d.verdict == "unknown_effect":
+        typed = [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
+        if typed or not d.mostly_changed:
+            return typed  # which refits the model's numbers as well
     if d.mostly_changed:
         return [shell_command("rtec", "improve", *d.files, *last)]
     sure = d.verdict == "missing_effect"
@@ -319,8 +323,6 @@ def _next(d: Diagnosis) -> list[str]:
     # `rtec add` searches a period or a delay again; `rtec improve` begins with the one that was found.
     if sure and d.findings[0].partner is None and len(d.together) < 2 and not d.findings[0].theta:
         return [shell_command("rtec", "add", model, *as_options(d.findings[0].effect), "--data", *data, *last)]
-    if d.verdict == "unknown_effect":
-        return [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
     if d.verdict == "undecided" or (d.verdict == "nothing_missing" and not d.out_of_date):
         return []
     return [shell_command("rtec", "improve", *d.files, *last)]

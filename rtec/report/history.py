@@ -137,7 +137,8 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     refit = _refit_words(r.refit) if r.refit else ""
     if not r.steps:
         lead = f"{refit}No effect was added: {_why_ended(r)}."
-        lead = f"{refit}No effect was added." if r.events and r.reason == "nothing_missing" else lead
+        said = r.reason == "unknown_effect" or (r.events and r.reason == "nothing_missing")  # by the verdict
+        lead = f"{refit}No effect was added." if said else lead
         lead = f"{lead} {_last_verdict(r)}"
     else:
         first, last = r.steps[0], r.steps[-1]
@@ -171,8 +172,17 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         [],
         [*history, *steps, *tail],
         brief=Section("", [], history[0].table if history else None),
-        next=[shell_command("rtec", "history", r.files[0], "--report", "out/history")] if r.files else [],
+        next=_next(r),
     )
+
+
+def _next(r: Improved) -> list[str]:
+    """The command that shows what is still missing, and the one that shows the steps."""
+    if not r.files:
+        return []
+    shown = [shell_command("rtec", "history", r.files[0], "--report", "out/history")] if r.steps or r.refit else []
+    asks = r.reason in ("unknown_effect", "ambiguous")
+    return [*([shell_command("rtec", "diagnose", *r.files, *r.machine_option)] if asks else []), *shown]
 
 
 def _why_ended(r: Improved) -> str:

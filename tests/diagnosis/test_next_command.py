@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import tomli_w
 
 from rtec.cli.main import status
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import load_machine
+from rtec.metrology.files.load import save_measurement
 from rtec.model import Model, save_model
 from rtec.report.diagnosis import diagnosis_page
 from tests.support.diagnosis_examples import QUICK, TABLE, effects, laser, small_machine
@@ -151,3 +153,36 @@ def test_a_name_that_the_sentence_asserts_is_asserted_in_the_json() -> None:
     assert "its form cannot be determined" in found.sentence
     assert found.verdict == "missing_effect"
     assert [a.label for a in found.findings[0].confused_with] == ["axis_expansion(EXX, X, T_bed), lag"]
+
+
+def saturating(folder: Path) -> tuple[Path, Path]:
+    """A model with an expansion of 12 µm/m/K, and a day of a machine whose growth ends 2 K above the reference."""
+    place = folder / "a machine"
+    place.mkdir()
+    machine, model, table = place / "machine.toml", place / "model.toml", place / "day.csv"
+    machine.write_text(tomli_w.dumps(TABLE), encoding="utf-8")
+    growth = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=12"
+    read = load_machine(machine)
+    save_model(Model(read, effects(growth), name="first"), model)
+    m = laser([growth], 5)
+    x, warm = m.channels["x"], m.channels["T_bed"] - 20.0
+    ends = 60e-3 * x * (np.tanh(warm / 2.0) - 0.2 * warm)
+    save_measurement(replace(m, machine=read, readings={"reading_um": m.readings["reading_um"] + ends}), table)
+    return model, table
+
+
+def test_what_has_no_name_is_added_by_the_printed_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From `improve`, which adds nothing that follows a temperature, to an error that falls. Oracle: the noise."""
+    model, table = saturating(tmp_path)
+    assert status(["improve", str(model), str(table), "--yes"]) == 0
+    told = capsys.readouterr().out
+    assert "not in the catalogue" in told
+    (command,) = next_commands(told)
+    assert command == ["diagnose", str(model), str(table)]
+    assert status(command) == 0
+    told = capsys.readouterr().out
+    (command,) = next_commands(told)
+    assert command[:3] == ["add", str(model), "--expr"], told
+    assert status([*command, "--json"]) == 0
+    added = json.loads(capsys.readouterr().out)
+    assert added["after"]["held_out"] < 1.3 * added["noise_floor"] < 0.5 * added["before"]["held_out"]
