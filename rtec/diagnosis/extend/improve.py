@@ -212,10 +212,31 @@ def _improved(
         return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
     if ask_made is not None and not ask_made(refit):
         return growth.grown(model, ask, ask_made)
+    return _grown_from(growth, refit, ask, ask_made, step)
+
+
+def _grown_from(
+    growth: "_Growth",
+    refit: Added,
+    ask: Callable[[ProposedStep], Finding | None] | None,
+    ask_made: Callable[[Added], bool] | None,
+    step: Callable[[Added], None] | None,
+) -> Improved:
+    """Add to a refitted model, which is refitted once more where its numbers are still out of date.
+
+    With few runs, what was known of the numbers holds them back. After the first refit these readings are the model's.
+    """
     if step:
         step(refit)
     growth.own = 0
-    return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
+    done = replace(growth.grown(refit.model, ask, ask_made), refit=refit)
+    late = not done.steps and bool(done.diagnoses) and done.diagnoses[-1].out_of_date
+    again = growth.refit(refit.model, ask_made is None) if late else None
+    if again is None or (ask_made is not None and not ask_made(again)):
+        return done
+    if step:
+        step(again)
+    return replace(growth.grown(again.model, ask, ask_made), refit=replace(again, before=refit.before))
 
 
 def _changes_slowly(found: Diagnosis, machine: Machine) -> bool:
