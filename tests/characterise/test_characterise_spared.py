@@ -45,7 +45,7 @@ def test_play_that_every_stretch_shows_is_found() -> None:
 
 @pytest.mark.parametrize("seed", [0, 14, 18])
 def test_play_that_every_machine_has_needs_no_more_than_three_ways(seed: int) -> None:
-    """Of three stretches 45 standard errors would be needed against all candidates, eight against the few usual ones."""
+    """Of three stretches 45 standard errors would be needed against all candidates, eight against the usual ones."""
     made = characterise([positioning_test(seed, play_um=6.0, cycles=3)])
     (value,) = (c.value for c in made.coefficients if c.effect.startswith("backlash(EXX"))
     assert value == pytest.approx(6.0, abs=2.0)

@@ -5,7 +5,9 @@ which of them stretches the scale. But one of them does so beside the scale that
 beside a scale that is far from it.
 """
 
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.report.diagnosis import diagnosis_page
 from tests.support.machines import axis
 
 NOISE_UM, DRAUGHT_UM, REFERENCE_DEGC = 0.4, 0.9, 20.0
@@ -123,3 +126,17 @@ def test_improve_refits_what_a_diagnosis_says_it_refits() -> None:
     assert done.refit.before.held_out > 2.0 * done.refit.after.held_out
     third = clean([there_and_back("third", 6, 5.5)], REFERENCE_DEGC)
     assert Judgement(done.model, third).residual < 1.2 * DRAUGHT_UM
+
+
+def test_what_so_few_readings_show_is_said_and_offered_on_trial() -> None:
+    """A reversal that the model lacks, one run there and one back. Oracle: what was put in; a jump does the same.
+
+    It had been "neither an effect of the catalogue nor a shape" above a table whose first line removed 93 %.
+    """
+    known = fitted_model([there_and_back("before", 14, 0.0)], wanted=read_wanted("scale", MACHINE))
+    d = diagnose(known, [there_and_back("now", 15, 5.5)], draws=50)
+    assert d.verdict == "undecided"
+    assert [x.kind for x in d.doubts if x.fatal] == ["too_few"], d.sentence
+    assert "backlash(EXX, X) explains 2." in d.sentence
+    (command,) = diagnosis_page(replace(d, files=(Path("model.toml"), Path("now.csv"))), figures=False).next
+    assert command.startswith("rtec add model.toml backlash --component EXX")

@@ -176,7 +176,27 @@ def improve(
     given = clean(measurements, model.reference_degc).without_ends()
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
     done = _improved(growth, model, ask, ask_made, step)
+    goes_on = done.reason in GOES_ON and not growth.events
+    if goes_on and growth.earlier is not None and (done.steps or done.refit):
+        # What the model had known of its numbers may have held them back. Now these readings are its own, too.
+        growth = _Growth(measurements, given, done.model, (seed, alpha, draws), stage, step)
+        done = _joined(done, _improved(growth, done.model, ask, ask_made, step))
     return replace(done, events=tuple(growth.events))
+
+
+GOES_ON: tuple[Reason, ...] = ("no_gain", "nothing_missing")
+"""Reasons for which a search may end too early."""
+
+
+def _joined(one: Improved, other: Improved) -> Improved:
+    """An improvement and the one that followed it."""
+    if not other.steps and other.refit is None:
+        return one
+    refit = one.refit
+    if not one.steps and other.refit is not None:
+        refit = other.refit if refit is None else replace(other.refit, before=refit.before)
+    steps, diagnoses = (*one.steps, *other.steps), (*one.diagnoses[:-1], *other.diagnoses)
+    return replace(other, steps=steps, diagnoses=diagnoses, refit=refit)
 
 
 def _improved(
@@ -212,31 +232,10 @@ def _improved(
         return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
     if ask_made is not None and not ask_made(refit):
         return growth.grown(model, ask, ask_made)
-    return _grown_from(growth, refit, ask, ask_made, step)
-
-
-def _grown_from(
-    growth: "_Growth",
-    refit: Added,
-    ask: Callable[[ProposedStep], Finding | None] | None,
-    ask_made: Callable[[Added], bool] | None,
-    step: Callable[[Added], None] | None,
-) -> Improved:
-    """Add to a refitted model, which is refitted once more where its numbers are still out of date.
-
-    With few runs, what was known of the numbers holds them back. After the first refit these readings are the model's.
-    """
     if step:
         step(refit)
     growth.own = 0
-    done = replace(growth.grown(refit.model, ask, ask_made), refit=refit)
-    late = not done.steps and bool(done.diagnoses) and done.diagnoses[-1].out_of_date
-    again = growth.refit(refit.model, ask_made is None) if late else None
-    if again is None or (ask_made is not None and not ask_made(again)):
-        return done
-    if step:
-        step(again)
-    return replace(growth.grown(again.model, ask, ask_made), refit=replace(again, before=refit.before))
+    return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
 
 
 def _changes_slowly(found: Diagnosis, machine: Machine) -> bool:
