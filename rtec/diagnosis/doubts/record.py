@@ -148,7 +148,7 @@ def too_few(judged: Judgement, effect: str, size: float, drop: float) -> Doubt:
     unit = ERROR_UNITS[judged.unit]
     message = (
         f"{effect} explains {explains} of the {residual} {unit} of the residual, and adding it removes {percent(drop)} "
-        "of the held-out mean square error; but so few readings cannot tell it from a jump or a drift."
+        "of the held-out mean square error; but so few readings do not separate it from a jump or a drift."
     )
     step = "Measure there and back at least four times; until then `rtec add` adds it on trial."
     return Doubt("too_few", message, step, fatal=True)

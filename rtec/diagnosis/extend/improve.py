@@ -177,13 +177,14 @@ def improve(
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
     done = _improved(growth, model, ask, ask_made, step)
     goes_on = done.reason in GOES_ON and not growth.events
-    grew = done.steps or done.refit is not None or done.diagnoses[-1].out_of_date
-    if goes_on and growth.earlier is not None and grew:
+    late = done.diagnoses[-1].out_of_date
+    if goes_on and growth.earlier is not None and (done.steps or done.refit is not None or late):
         # What the model had known of its numbers may have held them back. Now these readings are its own, too.
         own = {**done.model.measurements, **{m.name: m.fingerprint for m in measurements}}
         grown = replace(done.model, measurements=own)
         growth = _Growth(measurements, given, grown, (seed, alpha, draws), stage, step)
-        done = _joined(done, _improved(growth, grown, ask, ask_made, step))
+        again = _improved(growth, grown, ask, ask_made, step) if late else growth.grown(grown, ask, ask_made)
+        done = _joined(done, again)
     return replace(done, events=tuple(growth.events))
 
 
