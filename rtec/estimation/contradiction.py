@@ -37,6 +37,8 @@ MIRROR = 0.25
 """A file is the mirror image of another where their sum is less than this share of their readings."""
 CLEARLY = 1.2
 """Of two files that contradict each other, the odd one differs this many times more from the others."""
+GROWS = 24.0
+"""Expansion of aluminium, µm/(m·K): what two files at other temperatures may differ by, even if they differ little."""
 PER_MM = 10.0
 """Places within 1 mm divided by this number are equal."""
 LINE = 10_000_000
@@ -197,11 +199,11 @@ def _compared(judged: Judgement, two: tuple[int, int], means: Sequence[_Means]) 
         return DISAGREE * math.sqrt(sum(variances) + float(between.mean()) * many.bent**2)
 
     # A warmer machine may bend the other way, but hardly by as much: only a reversed file is the mirror image.
-    together = float(np.sqrt(np.mean((one + other)[:, 0] ** 2)))
-    turned = opposite and (together < MIRROR * larger or together < noise())
+    together, grown = float(np.sqrt(np.mean((one + other)[:, 0] ** 2))), _grown_um(judged, *two)
+    turned = opposite and off > grown and (together < MIRROR * larger or together < noise())
     # A wrong law of the model makes days differ whose readings differ little.
     differs = not turned and off > MUCH_OF * left_larger and _alike(judged, *two)
-    apart = differs and min(off, measured_off) > noise()
+    apart = differs and min(off, measured_off) > max(noise(), grown)
     sources = (series[0].source, series[1].source)
     return _Pair(sources, series[0].unit, off, measured_off, turned, apart)
 
@@ -268,6 +270,27 @@ def _met(judged: Judgement, series: int) -> bool:
     """Whether the residual of a series is no larger than its noise."""
     left = judged.left[judged.readings.series[series].part]
     return float(np.sqrt(np.mean(left**2))) < MET * judged.floors[series].value
+
+
+def _grown_um(judged: Judgement, one: int, two: int) -> float:
+    """What a part grows at most along the way of two series, by the largest difference of a sensor; root mean square.
+
+    A sensor that changed as much within a file that the model meets has shown its effect there.
+    """
+    readings, both = judged.readings, [judged.readings.series[k] for k in (one, two)]
+    states, met = [readings.states[s.source] for s in both], [_met(judged, k) for k in (one, two)]
+    apart_degc = 0.0
+    for name in readings.machine.sensor_names:
+        if not all(name in s.channels for s in states):
+            continue
+        a, b = (state.channels[name][s.row] for state, s in zip(states, both, strict=True))
+        low, high = ([float(f(v)) for v in (a, b)] for f in (np.nanmin, np.nanmax))
+        least = real(readings.machine, name)
+        if any(m and low[k] < low[1 - k] + least and high[k] > high[1 - k] - least for k, m in enumerate(met)):
+            continue
+        apart_degc = max(apart_degc, abs(float(np.nanmedian(a) - np.nanmedian(b))))
+    way_mm = max(float(np.ptp(readings.poses_mm[s.source][s.row], axis=0).max()) for s in both)
+    return GROWS * apart_degc * way_mm * 1e-3 / math.sqrt(12.0)
 
 
 def _alike(judged: Judgement, one: int, two: int) -> bool:

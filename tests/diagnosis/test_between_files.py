@@ -11,6 +11,7 @@ from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import Search, diagnose, instead_of_files
 from rtec.estimation.outliers import clean
+from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support.diagnosis_examples import effects, laser, small_machine
@@ -144,3 +145,41 @@ def test_the_second_search_has_nothing_that_reads_them() -> None:
     assert read
     assert not read & {"T_bed", "T_air"}
     assert len(other.candidates) < len(search.candidates)
+
+
+AIR_DEGC = (18.5, 24.5, 21.6, 25.5, 19.4)
+
+
+def weeks(seed: int, longer_um_per_m: Sequence[float]) -> list[Measurement]:
+    """Five tests of one run there and back in five weeks, each at the temperature that was written down that day."""
+    machine, rng, x = small_machine(), np.random.default_rng(seed), np.linspace(10.0, 190.0, 15)
+    place, way = np.concatenate([x, x[::-1]]), np.repeat([1.0, -1.0], 15)
+    made = make_instrument("laser_linear", {}, "X", "EXX", machine, "test")
+    out = []
+    for i, (degc, k) in enumerate(zip(AIR_DEGC, longer_um_per_m, strict=True)):
+        channels = {"x": place, "d_x": way, "T_air": np.full(30, degc)}
+        read_um = {"reading_um": 1e-3 * k * place + way + 0.3 * rng.standard_normal(30)}
+        out.append(
+            Measurement(f"w{i}", made, machine, np.repeat([1, 2], 15), 10.0 * np.arange(30.0), channels, read_um)
+        )
+    return out
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_five_days_on_one_line_over_the_air_are_an_expansion(seed: int) -> None:
+    """Oracle: 12 µm/(m·K) were put in; two of the days, at both sides of 20 °C, had contradicted each other."""
+    known = Model(small_machine(), effects(KNOWN[0]), name="known")
+    d = diagnose(known, weeks(seed, [12.0 * (degc - 20.0) for degc in AIR_DEGC]), draws=50)
+    first = d.findings[0]
+    assert first.accepted, d.sentence
+    assert first.label == "axis_expansion(EXX, X, T_air)"
+    assert first.parameters["k"].value == pytest.approx(12.0, rel=0.1)
+    assert not any(x.fatal for x in d.doubts)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_five_days_that_differ_by_something_else_are_none(seed: int) -> None:
+    """The same sizes in another order. Oracle: no line over the air meets them."""
+    known = Model(small_machine(), effects(KNOWN[0]), name="known")
+    d = diagnose(known, weeks(seed, [54.0, -18.0, 66.0, -7.0, 19.0]), draws=50)
+    assert not any(f.accepted and "T_air" in f.label for f in d.findings), d.sentence

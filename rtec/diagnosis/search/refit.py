@@ -20,7 +20,7 @@ from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.effects.cyclic import Cyclic
 from rtec.estimation.candidates import REAL, EffectCandidate
-from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, without_nuisance
+from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, solve, without_nuisance
 from rtec.estimation.noise import Whitener, find_noise, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.targets import WAVES, predicts_targets
@@ -124,6 +124,20 @@ def far_better(one: Judged, other: Judged) -> bool:
 
 
 Stage = Callable[[str, int, int], None]
+
+BY_CHANCE = 0.01
+"""Numbers of files follow a channel as well by chance less often than this."""
+
+
+def _follow(levels: Sequence[Floats | None], numbers: Floats) -> bool:
+    """Whether one number of each file, (files,), is a straight line over the median of a channel there."""
+    from scipy.stats import linregress
+
+    if len(levels) < 3 or any(v is None for v in levels):
+        return False
+    at = np.array([float(np.nanmedian(v)) for v in levels if v is not None])
+    return bool(np.ptp(at) > 0.0 and linregress(at, numbers).pvalue < BY_CHANCE)
+
 
 PART, UNSURE = 0.01, math.log(20.0)
 """A candidate is a case of another that leaves less than this share of it, by norm; and the evidence that further
@@ -594,7 +608,8 @@ class Refits:
             cost: of its numbers and its choice; None where it was fitted beside the model alone.
 
         Returns:
-            None where only one file shows it, or where it depends only on positions, directions and time.
+            None where only one file shows it, where it depends only on positions, directions and time, or where the own
+            numbers of three files or more follow its channel: then files are to it what runs are in one of them.
         """
         readings, effect = self.readings, self.candidates[t.number].effect
         source, files = self._files(t.columns)
@@ -603,8 +618,13 @@ class Refits:
             return None
         shapes = [readings.at_constant(effect, t.theta, channel) for channel in sorted(given)]
         own = np.concatenate([shape * (source == k)[:, None] for shape in shapes for k in files], axis=1)
-        base = np.concatenate([self.prepared.base if others is None else others, own], axis=1)
-        return self._evidence_beside(t, base, readings, cost)
+        base = self.prepared.base if others is None else others
+        whole = np.concatenate([base, own], axis=1)
+        if own.shape[1] == len(files):
+            levels = [readings.states[k].channels.get(next(iter(given))) for k in files]
+            if _follow(levels, solve(t.fit.whitener(whole), t.fit.whitener(readings.values))[base.shape[1] :]):
+                return None
+        return self._evidence_beside(t, whole, readings, cost)
 
     @cached_property
     def given(self) -> set[str]:
