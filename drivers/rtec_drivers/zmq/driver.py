@@ -87,7 +87,7 @@ class StateBook:
         self._machine, self._options = machine, options
         self._spindle: tuple[float, int] | None = None
         self._offset, self._stuck = ClockOffset(), StuckWatch(options.stuck_after_s)
-        self._boot, self._seq = "", -1
+        self._boot, self._seq, self._old_seq = "", -1, -1
         self._heard_ns = self._now_ns = 0
         self._fault, self._stuck_faults = "", dict[str, str]()
 
@@ -103,8 +103,9 @@ class StateBook:
             self._boot, self._seq = state.boot, -1
             self._offset.reset()
         if state.seq <= self._seq:
+            self._old_seq = state.seq
             return None
-        self._seq, self._heard_ns, self.heard, self._fault = state.seq, now_ns, True, ""
+        self._seq, self._old_seq, self._heard_ns, self.heard, self._fault = state.seq, -1, now_ns, True, ""
         self._offset.add(state.time_ns, now_ns)
         self._keep(state, now_ns)
         return state
@@ -113,6 +114,10 @@ class StateBook:
         """Set the time; silence is counted from the first call."""
         self._heard_ns = self._heard_ns or now_ns
         self._now_ns = now_ns
+
+    def restart(self) -> None:
+        """Accept the next message, whatever its number."""
+        self._seq = self._old_seq = -1
 
     def fault(self, text: str) -> None:
         """Record a fault; it stays until a good message comes."""
@@ -125,12 +130,26 @@ class StateBook:
             DriverFault: a message was malformed, or a sensor is stuck.
             DriverTimeout: silence.
         """
-        place, silent_s = self._options.state, (self._now_ns - self._heard_ns) * 1e-9
         faults = [f for f in (self._fault, *self._stuck_faults.values()) if f]
         if faults:
-            raise DriverFault(f"{place}: {'; '.join(faults)}")
-        if silent_s > self._options.silent_s:
-            raise DriverTimeout(f"{place}: no message for {silent_s:.1f} s")
+            raise DriverFault(f"{self._options.state}: {'; '.join(faults)}")
+        self.tell_silence()
+
+    def tell_silence(self) -> None:
+        """Raise where no new message has come lately.
+
+        Raises:
+            DriverTimeout: silence, or messages whose numbers are not above the last.
+        """
+        place, silent_s = self._options.state, (self._now_ns - self._heard_ns) * 1e-9
+        if silent_s <= self._options.silent_s:
+            return
+        if self._old_seq >= 0:
+            raise DriverTimeout(
+                f"{place}: for {silent_s:.1f} s seq has been no greater than {self._seq}, it is {self._old_seq}: did the "
+                "program restart with the same boot, or do two publish there? Mend that, then `rtec ctl resume`"
+            )
+        raise DriverTimeout(f"{place}: no message for {silent_s:.1f} s")
 
     def spindle(self) -> float:
         """The spindle speed, 1/min.
@@ -338,6 +357,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
     def resume(self) -> None:
         """Go on after the other process restarted or a position was lost."""
         self._commands.order_resume()
+        self._book.restart()
         self._counts, self._counts_ns = None, -(2**62)
         if self._tracker is not None:
             self._tracker.restart()
@@ -399,13 +419,14 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
 
         Raises:
             DriverFault: the other process refuses, restarted, or the command would be a jump.
-            DriverTimeout: nothing accepts commands, or they are not answered.
+            DriverTimeout: nothing accepts commands, they are not answered, or no state confirms them.
             DriverUnavailable: not entered.
         """
         sockets = self._listen()
         now_ns = self._clock.now_ns()
         sockets.send(self._commands.next_command([int(n) for n in output]))
         self._commands.sent(now_ns)
+        self._book.tell_silence()
 
     def read_output(self, output: IntArray) -> None:
         """Fill in the output that the other process reports.
