@@ -197,7 +197,7 @@ class Recording:
     _goes_on: str = ""
 
     def begin(self, begin: Begin) -> None:
-        """Create the first file. A disk that is full or fails is tried again later: the correction does not wait for it.
+        """Create the first file; on a disk that is full or fails later, as the correction does not wait for it.
 
         Raises:
             LogError: it cannot be created for another reason, which a person mends first.

@@ -142,7 +142,7 @@ def test_a_disk_that_is_all_but_full_is_told_once() -> None:
 
 
 def test_a_run_begins_on_a_full_disk_too_and_is_logged_when_there_is_room() -> None:
-    """As after a power cut with a full disk: what corrects does not wait for the disk. Every row is written or counted."""
+    """As after a power cut: what corrects does not wait for the disk. Every row is written or counted."""
     disk, clock = Disk(), VirtualClock()
     disk.full = True
     log = recording(disk, clock)
@@ -164,6 +164,7 @@ def test_a_first_file_that_cannot_be_made_is_an_error_and_no_log_is_no_fault() -
     disk = Disk()
 
     def taken(path: Path, header: Mapping[str, str]) -> File:
+        del header
         raise LogError(f"log {path}: exists already") from FileExistsError(errno.EEXIST, "File exists")
 
     with pytest.raises(LogError, match="exists already"):

@@ -146,7 +146,7 @@ class StateBook:
             return
         if self._old_seq >= 0:
             raise DriverTimeout(
-                f"{place}: for {silent_s:.1f} s seq has been no greater than {self._seq}, it is {self._old_seq}: did the "
+                f"{place}: for {silent_s:.1f} s no seq above {self._seq}, the newest is {self._old_seq}: did the "
                 "program restart with the same boot, or do two publish there? Mend that, then `rtec ctl resume`"
             )
         raise DriverTimeout(f"{place}: no message for {silent_s:.1f} s")
