@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
-from rtec.loop.output import HOLDS, in_words, lost
+from rtec.loop.output import in_words, lost
+from rtec.loop.ports import HOLDS
 from rtec.loop.state import Saved, structure_of, units_of
 from rtec.loop.step import Step
 

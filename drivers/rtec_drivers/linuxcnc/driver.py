@@ -11,6 +11,7 @@ from pydantic import Field
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import HOLDS
 from rtec.machine import Machine
 from rtec.quantities import MicrometresPositive, SecondsPositive
 from rtec.tomlfile import Strict
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 LONGEST_SOCKET = 100
-HOLDS = "the correction holds until it is ordered to resume"
 FIRST_S, LONGEST_S = 0.1, 2.0
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import HOLDS
 from rtec.machine import Machine
 from rtec_drivers.count_tracker import CountTracker, max_counts_per_s
 from rtec_drivers.temperatures import StuckWatch
@@ -199,9 +200,6 @@ class StateBook:
         return self._offset.ours(their_ns)
 
 
-HOLDS = "the correction holds until it is ordered to resume"
-
-
 class CommandAccount:
     """This side's account of the commands.
 
@@ -227,16 +225,15 @@ class CommandAccount:
         self._refused, self._waiting_ns, self._answered = "", -1, self._seq
 
     def stop(self, why: str) -> None:
-        """Command nothing until the order comes."""
-        if not self.must_resume:
-            self.must_resume = f"{why}; {HOLDS}"
+        """Command nothing until the order comes, for this reason; "" changes nothing."""
+        self.must_resume = self.must_resume or why
 
     def reported(self, boot: str, output: Mapping[str, int]) -> None:
         """Process the other process' report."""
         if not self._boot:
             self._boot = boot
         elif boot != self._boot:
-            self.stop("the other process restarted")
+            self.stop(f"the other process restarted; {HOLDS}")
         if set(output) == set(self._axes):
             self.has = tuple(output[a] for a in self._axes)
 
@@ -472,8 +469,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         try:
             tracker.update(got.values, got.their_ns, got.their_ns)
         finally:
-            if tracker.lost:
-                self._commands.stop(tracker.lost)
+            self._commands.stop(tracker.lost)
         # A message faster than all before makes the offset of the clocks smaller; instants do not go back for that.
         self._counts, self._counts_ns = got, max(self._counts_ns, got.instant_ns)
 
