@@ -205,8 +205,12 @@ class TemperatureReadings:
         time_ns[newest.index] = newest.time_ns
 
     def faults(self) -> list[str]:
-        """Present faults, one line a reading; empty where there is none."""
-        return [f"{name}: {why}" for name, why in self._faults.items() if why]
+        """Present faults, one line each, with the readings that have it; empty where there is none."""
+        names: dict[str, list[str]] = {}
+        for name, why in self._faults.items():
+            if why:
+                names.setdefault(why, []).append(name)
+        return [f"{', '.join(of)}: {why}" for why, of in names.items()]
 
     def tell(self) -> None:
         """Raise the present faults.

@@ -281,7 +281,7 @@ line_end = "crlf"
 
     def _tell(self, why: str) -> None:
         if why:
-            self._account.fail(DriverUnavailable(f"{self.options.place}: {why}; trying again"))
+            self._account.fail(DriverUnavailable(f"{why}; trying again"))
 
     def _serve(self, line: ByteLine) -> None:
         worker = self._worker
