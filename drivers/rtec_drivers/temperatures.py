@@ -258,17 +258,15 @@ class StuckWatch:
     """Detects a reading that is constant, to the last digit, for too long.
 
     Args:
-        after_s: longest time without a change; None: no limit.
+        after_s: longest time without a change.
     """
 
-    def __init__(self, after_s: float | None) -> None:
+    def __init__(self, after_s: float) -> None:
         self._after_s = after_s
         self._since: dict[str, tuple[float, int]] = {}
 
     def look(self, name: str, value: float, now_ns: int) -> str:
         """Record a reading; give its fault, or ""."""
-        if self._after_s is None:
-            return ""
         known, since_ns = self._since.get(name, (None, now_ns))
         if known != value:
             self._since[name] = (value, now_ns)

@@ -40,8 +40,8 @@ class LinuxCncOptions(Strict):
         0.01, description="One unit of output, µm, for those that do not count pulses."
     )
     silent_s: SecondsPositive = Field(0.1, description="So long without a servo period is a LinuxCNC that stands.")
-    stuck_after_s: SecondsPositive | None = Field(
-        None, description="A temperature that stands still to the last digit for so long is wrong; not given: never."
+    stuck_after_s: SecondsPositive = Field(
+        3600.0, description="A temperature that is constant to its last digit for this time is not used."
     )
 
 
