@@ -421,9 +421,11 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """
         sockets = self._listen()
         now_ns = self._clock.now_ns()
-        sockets.send(self._commands.next_command([int(n) for n in output]))
+        command = tuple(int(n) for n in output)
+        sockets.send(self._commands.next_command(command))
         self._commands.sent(now_ns)
-        self._book.tell_silence()
+        if command != self._commands.has:
+            self._book.tell_silence()
 
     def read_output(self, output: IntArray) -> None:
         """Fill in the output that the other process reports.
