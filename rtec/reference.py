@@ -438,7 +438,6 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "max_speed_mm_s": "{X = 400.0, Z = 400.0}",
     "patterns": "['T1=(?P<T_bed>\\S+)']",
     "request": '"READ?\\r"',
-    "stuck_after_s": "900.0",
     "timeout_ms": "5.0",
     "host": '"192.168.1.60"',
     "restarted": '"READY.*"',

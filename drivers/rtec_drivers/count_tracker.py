@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtec.errors import ConfigError, DriverFault
+from rtec.loop.ports import HOLDS
 from rtec.machine import Machine
 from rtec.tomlfile import nearest
 
@@ -109,7 +110,7 @@ class CountTracker:
             self._good, self._refused = reading, None
             return reading.values
         if self._refused is not None and self._confirms_refused(reading):
-            self.lost = f"{fault or 'counts jumped'}, and stayed there: the position is not known"
+            self.lost = f"{fault or 'counts jumped'}, and stayed there: the position is not known; {HOLDS}"
             raise DriverFault(self.lost)
         self._refused = reading
         raise DriverFault(f"{fault}: refused")
@@ -123,7 +124,7 @@ class CountTracker:
             if fastest * gap_s >= 2 ** (self.bits - 1):
                 self.lost = (
                     f"axis {axis} was not read for {gap_s:.3g} s, in which a counter of {self.bits} bits may have gone "
-                    "round unseen: the position is not known"
+                    f"round unseen: the position is not known; {HOLDS}"
                 )
                 raise DriverFault(self.lost)
 

@@ -205,8 +205,12 @@ class TemperatureReadings:
         time_ns[newest.index] = newest.time_ns
 
     def faults(self) -> list[str]:
-        """Present faults, one line a reading; empty where there is none."""
-        return [f"{name}: {why}" for name, why in self._faults.items() if why]
+        """Present faults, one line each, with the readings that have it; empty where there is none."""
+        names: dict[str, list[str]] = {}
+        for name, why in self._faults.items():
+            if why:
+                names.setdefault(why, []).append(name)
+        return [f"{', '.join(of)}: {why}" for why, of in names.items()]
 
     def tell(self) -> None:
         """Raise the present faults.
@@ -254,17 +258,15 @@ class StuckWatch:
     """Detects a reading that is constant, to the last digit, for too long.
 
     Args:
-        after_s: longest time without a change; None: no limit.
+        after_s: longest time without a change.
     """
 
-    def __init__(self, after_s: float | None) -> None:
+    def __init__(self, after_s: float) -> None:
         self._after_s = after_s
         self._since: dict[str, tuple[float, int]] = {}
 
     def look(self, name: str, value: float, now_ns: int) -> str:
         """Record a reading; give its fault, or ""."""
-        if self._after_s is None:
-            return ""
         known, since_ns = self._since.get(name, (None, now_ns))
         if known != value:
             self._since[name] = (value, now_ns)

@@ -36,6 +36,8 @@ LONGEST_NS: Final = 15_000_000_000
 PERIOD_NS: Final = 50_000_000
 UNDER_ORDER_NS: Final = 100_000_000
 """A row that is newer than an order by this, ns, was made under it."""
+FIRST_READINGS_NS: Final = 1_000_000_000
+"""A device that resumes forgets its readings; it may take this long, ns, until the next."""
 _MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
 KEPT: Final = (Order.HOLD, Order.FADE)
 """Orders that must survive a restart of the daemon: they are done when they are on disk."""
@@ -283,7 +285,7 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
         done = status["mode"] == _MODE_NAMES[MODE_OF[order]]
         return _ordered(order, status, new, after) if done else None
     if order is Order.RESUME:
-        return _resumed(before["status"], status, after) if new else None
+        return _resumed(before["status"], status, new, after) if new else None
     if not new:
         return None
     if order is Order.MARK:
@@ -320,10 +322,15 @@ def _mode_text(order: Order, status: dict[str, Any]) -> str:
     return f"{_MODE_WORDS[order]}; applied now: {applied}"
 
 
-def _resumed(before: dict[str, Any], status: dict[str, Any], after: dict[str, Any]) -> Outcome | None:
+def _resumed(
+    before: dict[str, Any], status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]
+) -> Outcome | None:
+    """Result of an order to resume; None: it is not carried out yet, or the first readings behind it may still come."""
     if status["takeovers"] == before["takeovers"]:
         return None
     wrong = [f"{name}: {joined(texts)}" for name, texts in status["devices"].items()]
+    if wrong and status["time_ns"] - new[-1]["time_ns"] < FIRST_READINGS_NS:
+        return None
     if wrong:
         return Outcome(False, f"resumed, but {' | '.join(wrong)}", after)
     return Outcome(True, "the devices go on from where they are", after)

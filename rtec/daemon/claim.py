@@ -30,19 +30,24 @@ def commanded_places(setup: Setup) -> list[str]:
 
 def _places(table: Mapping[str, Any], base: Path) -> Iterator[str]:
     if "host" in table and "port" in table:
-        yield f"{str(table['host']).lower()}:{table['port']}"
+        yield _of_host(f"{table['host']}:{table['port']}")
     elif isinstance(port := table.get("port"), str):
         yield os.path.realpath(port)
     if isinstance(path := table.get("socket"), str):
         yield os.path.realpath(base / path)
     if isinstance(address := table.get("command"), str):
-        yield address
+        way, _, place = address.partition("://")
+        yield f"{way}://{os.path.realpath(place) if way == 'ipc' else _of_host(place)}"
     if "interface" in table and "channel" in table:  # several boxes share a bus
         at = f", identifier {table['base_id']:#x}" if isinstance(table.get("base_id"), int) else ""
         yield f"{table['interface']} {table['channel']}{at}"
     for value in table.values():
         if isinstance(value, Mapping):
             yield from _places(value, base)
+
+
+def _of_host(place: str) -> str:
+    return place.lower().replace("localhost", "127.0.0.1")
 
 
 class Claim:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
-from rtec.loop.output import HOLDS, in_words, lost
+from rtec.loop.output import in_words, lost
+from rtec.loop.ports import HOLDS
 from rtec.loop.state import Saved, structure_of, units_of
 from rtec.loop.step import Step
 
@@ -132,7 +133,8 @@ def allowed(step: Step, slack_s: float) -> IntArray:
 
 def _note(step: Step, saved: Saved, output: IntArray, mode: int) -> str:
     names = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold"}
+    how = "waited for an order to resume" if saved.waits else "did not end in order"
     return (
-        f"the run before did not end in order: its ledger ({in_words(step, output)}) and mode {names[mode]!r} were "
-        f"taken over (it had told {in_words(step, saved.output)})"
+        f"the run before {how}: its ledger ({in_words(step, output)}) and mode {names[mode]!r} were taken over (its "
+        f"last command was {in_words(step, saved.output)})"
     )

@@ -136,7 +136,7 @@ class Look:
     def _tell_of(self, ability: Ability, readings: DeviceReadings) -> None:
         error = ability.failing()
         if error is not None:
-            for text in reasons(self._patient, self._device, ability, error):
+            for text in reasons(self._device, ability, error):
                 self._wrong(type(error)(text), error.__cause__)
         else:
             self._tell_hiccups(ability)

@@ -415,17 +415,12 @@ def unfit(patient: Patient, found: DeviceFound, device: Any) -> list[DeviceFault
     return out
 
 
-def reasons(patient: Patient, device: Any, ability: Ability, error: DriverError) -> list[str]:
-    """One text a cause: from the driver's list of faults, if it has one; sensors with the same fault share a text."""
+def reasons(device: Any, ability: Ability, error: DriverError) -> list[str]:
+    """One text a cause: from the driver's list of faults, if it has one."""
     listed = getattr(device, "faults", None)
     if ability.does != "temperatures" or not callable(listed):
         return [str(error)]
-    sensors: dict[str, list[str]] = {}
-    for fault in listed():
-        name, _, why = fault.partition(": ")
-        known = name in patient.machine.sensor_names
-        sensors.setdefault(why if known else fault, []).extend([name] if known else [])
-    return [f"{', '.join(names)}: {why}" if names else why for why, names in sensors.items()] or [str(error)]
+    return list(listed()) or [str(error)]
 
 
 def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -> tuple[list[DeviceFault], list[str]]:

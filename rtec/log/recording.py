@@ -113,6 +113,8 @@ def events_path(log: Path | None) -> Path | None:
 
 
 RETRY_NS: Final = 5_000_000_000
+DISK_FAULTS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""Errors of a disk that is full, that fails, or that the system made read-only for that."""
 
 
 class Writer(Protocol):
@@ -195,14 +197,20 @@ class Recording:
     _goes_on: str = ""
 
     def begin(self, begin: Begin) -> None:
-        """Create the first file.
+        """Create the first file; on a disk that is full or fails later, as the correction does not wait for it.
 
         Raises:
-            LogError: it cannot be created; a run that cannot be logged from the start does not begin.
+            LogError: it cannot be created for another reason, which a person mends first.
         """
-        if self.path is not None:
+        if self.path is None:
+            return
+        try:
             self._writer = self.open_writer(self.path, begin.header)
             self._from = self._next = begin.row
+        except LogError as e:
+            if not isinstance(e.__cause__, OSError) or e.__cause__.errno not in DISK_FAULTS:
+                raise
+            self._fail(str(e))
 
     def write(self, samples: Samples, commands: Commands, first_row: int) -> None:
         """Record rows; `first_row` is the number of the first of them.

@@ -160,10 +160,8 @@ class LogWriter:
             self._fail(error)
 
     def _fail(self, error: OSError) -> None:
-        self._fault = (
-            f"log {self.path}: cannot be written: {error.strerror}; "
-            f"its {self.rows} rows are kept and readable, later rows are not in it"
-        )
+        kept = f"; its {self.rows} rows are kept and readable, later rows are not in it" if self.rows else ""
+        self._fault = f"log {self.path}: cannot be written: {error.strerror}{kept}"
         raise LogError(self._fault) from error
 
 

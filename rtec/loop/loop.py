@@ -1,7 +1,8 @@
 """The loop: wait for the deadline, read, step, keep the state, command. Nothing else.
 
-`rtec.loop.output` decides whether a command may be sent. An order to resume (`Loop.order_resume`) goes to every device
-that takes one; the loop then takes over the actuator's ledger before it commands anything.
+`rtec.loop.believed` decides whether a temperature is believed, `rtec.loop.output` whether a command may be sent. An
+order to resume (`Loop.order_resume`) goes to every device that takes one; the loop then takes over the actuator's
+ledger before it commands anything.
 
 The loop keeps the state (`rtec.loop.state`) before it sends the command: the kept state is never behind the actuator.
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from rtec.correction.flags import MODE_HOLD, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import DriverError
+from rtec.loop.believed import BelievedTemperatures
 from rtec.loop.clock import Clock
 from rtec.loop.devices import Ports
 from rtec.loop.output import CommandGate
@@ -61,7 +63,11 @@ class Loop:
         self._ports, self._clock, self._period_ns, self._rows = ports, clock, period_ns, rows
         self._resumable = ports.resumable()
         self._counts_trouble = self._trouble("counts")
-        self._temperatures = [(s, self._trouble("temperatures", k)) for k, s in enumerate(ports.temperatures)]
+        machine = step.settings.model.machine
+        self._temperatures = [
+            (BelievedTemperatures(s, machine), self._trouble("temperatures", k))
+            for k, s in enumerate(ports.temperatures)
+        ]
         self._spindle_trouble = self._trouble("spindle")
         output_trouble = self._trouble("output")
         self._waiting = Trouble(ports.name("output"), "state")
@@ -101,6 +107,8 @@ class Loop:
         """Order all devices to go on after a reset or a lost position. Call it between cycles, in the loop's thread."""
         for device in self._resumable:
             device.resume()
+        for source, _ in self._temperatures:
+            source.resume()
         self._waiting.now = False
         self.take_over(None)
 
@@ -111,7 +119,8 @@ class Loop:
     @property
     def waits(self) -> bool:
         """Does it wait for an order to resume, or has it not carried one out yet?"""
-        return self._gate.waits or any(d.must_resume for d in self._resumable)
+        jumped = any(source.must_resume for source, _ in self._temperatures)
+        return jumped or self._gate.waits or any(d.must_resume for d in self._resumable)
 
     def go_on_with(self, step: Step, rows: list[Row]) -> list[Row]:
         """Change to another step, with rows bound to it in the same memory, for the next cycle; give the old rows."""
@@ -159,7 +168,7 @@ class Loop:
             self._counts_trouble.failed(str(e))
         for source, trouble in self._temperatures:
             try:
-                source.read_temperatures(self._degc, self._degc_time_ns)
+                source.read(self._degc, self._degc_time_ns, self.step.sensors)
                 trouble.now = False
             except DriverError as e:  # the good values are in the arrays all the same
                 trouble.failed(str(e))

@@ -19,13 +19,12 @@ import numpy as np
 
 from rtec.correction.flags import MODE_OFF, MODE_TAKEN_OVER, OUTPUT_TROUBLE, OUTPUT_UNCONFIRMED
 from rtec.errors import DriverError
-from rtec.loop.ports import Actuator, IntArray, NoActuator, Resumable
+from rtec.loop.ports import HOLDS, Actuator, IntArray, NoActuator, Resumable
 from rtec.loop.stats import Trouble
 from rtec.loop.step import Step
 
 PATIENCE_NS: Final = 250_000_000
 """A command that the driver accepted may be unconfirmed for this long; after that the output is in trouble."""
-HOLDS: Final = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
 
 
 def in_words(step: Step, output: IntArray) -> str:

@@ -7,7 +7,7 @@ configured timeout.
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Final, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from rtec.correction.sinks import Sink
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
+HOLDS: Final = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
+"""What a device adds to the reason why it waits, as `Resumable.must_resume` gives it."""
 
 
 class Device(Protocol):

@@ -238,3 +238,24 @@ def test_enable_says_so_where_the_correction_stays(daemon: FakeDaemon) -> None:
         False,
         "enabled, but the correction stays where it is: counts are stale",
     )
+
+
+def test_resume_waits_for_the_first_readings_behind_it(daemon: FakeDaemon) -> None:
+    """A device that has forgotten its position is without one until the next. Oracle: instants written down here."""
+    fresh = Desk(daemon, VirtualClock(1_000_000_001), {}).status()
+    event = {"what": "resume", "time_ns": 50, "row": 1, "utc": "", "text": "", "who": "root"}
+
+    def at(time_ns: int, *wrong: str) -> dict[str, Any]:
+        devices = {"scales": list(wrong)} if wrong else {}
+        status = {**fresh["status"], "time_ns": time_ns, "takeovers": 1, "devices": devices}
+        return {**fresh, "pid": 1, "events_total": 1, "events": [event], "status": status}
+
+    before = at(50, "the position is not known")
+    before = {**before, "events_total": 0, "events": [], "status": {**before["status"], "takeovers": 0}}
+    clock = VirtualClock(1)
+    comes = Answers(before, at(60, "no new positions"), at(70_000_000))
+    good = carry_out(comes, Order.RESUME, "", clock)  # type: ignore[arg-type]
+    assert (good.done, good.text) == (True, "the devices go on from where they are")
+    stays = Answers(before, at(60, "no new positions"), at(1_200_000_000, "no new positions"))
+    missing = carry_out(stays, Order.RESUME, "", clock)  # type: ignore[arg-type]
+    assert (missing.done, missing.text) == (False, "resumed, but scales: no new positions")

@@ -233,6 +233,21 @@ def test_a_stuck_sensor() -> None:
         assert wire.degc[BED] == 21.6
 
 
+def test_an_hour_at_one_temperature_is_a_fault_and_an_hour_at_one_speed_is_none() -> None:
+    """As delivered. A reading a minute for 62 minutes: T_bed and spindle always the same, T_air never."""
+    with Wire(patterns=[TWO + r" S=(?P<spindle_rpm>\d+)"], silent_reopen_s=100.0) as wire:
+        wire.says(b"\n")
+        told = []
+        for k in range(62):
+            wire.look(60 * SECOND)
+            told.append(wire.says(b"T1=21.5 T2=%d S=2400\n" % (17 + k % 2)))
+        assert set(told[:60]) == {""}
+        assert told[-1].endswith("T_bed: has read 21.5 for 3660 s: stuck")
+        assert wire.times[BED] < wire.times[AIR]
+        wire.says(b"T1=21.6 T2=17 S=2400\n")
+        assert wire.driver.read_spindle() == 2400.0
+
+
 def test_devices_that_must_be_asked(tmp_path: Path) -> None:
     """It prints only when it is asked, once a period."""
     clock = RealClock()

@@ -226,6 +226,9 @@ def test_a_counter_goes_round_at_32_bits_and_jumps_are_refused(channel: str, box
             cycles(device, 20)
         with pytest.raises(DriverFault, match="the position is not known"):
             cycles(device, 50)
+        assert "the position is not known" in device.must_resume, "so that a daemon that starts again waits, too"
+        with pytest.raises(DriverFault, match="the position is not known"):
+            device.apply(np.zeros(2, np.int64))
         device.resume()
         assert until(lambda: _resumed(device) and newest(device)[1] == 1_000_000)
 

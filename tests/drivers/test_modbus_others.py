@@ -271,6 +271,7 @@ def test_a_late_tcp_answer_is_told_from_a_new_one_by_its_number() -> None:
                 seen = Seen(d)
                 assert until(lambda: len(asked_ns) >= 3)
                 assert np.isnan(seen["T_bed"])
+                assert until(lambda: any("answers only earlier requests" in f for f in d.faults()))
                 delay_ms[0] = 0.0
                 assert until(lambda: seen["T_bed"] > 0)
                 ways_ns = []

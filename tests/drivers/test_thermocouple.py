@@ -103,6 +103,15 @@ def test_a_voltage_waits_for_a_fresh_cold_junction() -> None:
     assert filled(readings)[1][0] == 3 * S
 
 
+def test_what_is_wrong_with_several_sensors_is_said_once() -> None:
+    """A line that is gone: its sensors in one sentence, as a person would say it."""
+    readings = TemperatureReadings(NAMES, {name: Conversion() for name in NAMES})
+    readings.silent(NAMES, "no connection")
+    assert readings.faults() == ["T_bed, T_air: no connection"]
+    readings.silent(NAMES[1:], "no answer")
+    assert readings.faults() == ["T_bed: no connection", "T_air: no answer"]
+
+
 def test_a_reading_is_stuck_after_its_time_and_not_before() -> None:
     readings = TemperatureReadings(NAMES, {"T_bed": Conversion(scale=0.1, stuck_s=600.0)})
     for k in range(601):

@@ -133,6 +133,23 @@ def test_an_older_message_is_not_looked_at(tmp_path: Path) -> None:
             assert (link._book.take(text, now_ns) is not None) == taken
 
 
+def test_numbers_that_begin_again_under_the_same_boot_are_told_and_the_order_accepts_them(tmp_path: Path) -> None:
+    """A program that was restarted and kept its boot: who reads, and who only commands, hears both numbers."""
+    with ipc_cell(tmp_path) as cell, driver(addresses(tmp_path)) as link:
+        with cell.lock:
+            cell._seq = 10**6
+        assert soon(CLOCK, lambda: command(link, 12, 0) and link._book._seq > 10**6)
+        with cell.lock:
+            cell._seq = 0
+        told(link, counts_of, "no seq above")
+        link.apply(np.array([12, 0]))  # what it has already needs no state
+        told(link, lambda it: it.apply(np.array([13, 0])), "did the program restart with the same boot")
+        link.resume()
+        assert soon(CLOCK, lambda: counts_of(link)) == [1000, -2000]
+        assert soon(CLOCK, lambda: command(link, 12, 1))
+        assert cell.commands[-1]["output"] == {"X": 12, "Z": 1}
+
+
 def test_another_start_holds_until_ordered(tmp_path: Path) -> None:
     """Its output is zero again: counts and commands are refused, temperatures go on; the order ends that."""
     with ipc_cell(tmp_path) as cell, driver(addresses(tmp_path)) as link:

@@ -1,5 +1,6 @@
 """A run's log over full disks, stalled disks and new beginnings. Oracles: the rows that were handed on, numbered."""
 
+import errno
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -42,7 +43,7 @@ class Disk:
     def check(self) -> None:
         assert self.go.wait(60)
         if self.full:
-            raise LogError("cannot be written: No space left on device")
+            raise LogError("cannot be written: No space left on device") from OSError(errno.ENOSPC, "No space left")
 
 
 class File:
@@ -140,11 +141,34 @@ def test_a_disk_that_is_all_but_full_is_told_once() -> None:
     assert 550 - sum(len(file) for file in disk.files.values()) == log.missed == 250
 
 
-def test_a_first_file_that_cannot_be_made_is_an_error_and_no_log_is_no_fault() -> None:
-    disk = Disk()
+def test_a_run_begins_on_a_full_disk_too_and_is_logged_when_there_is_room() -> None:
+    """As after a power cut: what corrects does not wait for the disk. Every row is written or counted."""
+    disk, clock = Disk(), VirtualClock()
     disk.full = True
-    with pytest.raises(LogError, match="No space left"):
-        recording(disk, VirtualClock())
+    log = recording(disk, clock)
+    log.write(*rows(0, 10), 0)
+    assert "No space left" in log.trouble
+    assert [w.split(":")[0] for w in log.warnings] == ["logging stopped, the correction went on"]
+    clock.sleep_until_ns(RETRY_NS)
+    disk.full = False
+    assert log.wants_to_try_again()
+    log.cut(Begin(14, {"initial_output": "[7]"}))
+    log.write(*rows(10, 10), 10)
+    log.close()
+    assert disk.files == {"run-2.arrows": list(range(14, 20))}
+    assert (log.missed, log.trouble) == (14, "")
+
+
+def test_a_first_file_that_cannot_be_made_is_an_error_and_no_log_is_no_fault() -> None:
+    """A name that is taken, a folder that is none: something that a person mends before the run."""
+    disk = Disk()
+
+    def taken(path: Path, header: Mapping[str, str]) -> File:
+        del header
+        raise LogError(f"log {path}: exists already") from FileExistsError(errno.EEXIST, "File exists")
+
+    with pytest.raises(LogError, match="exists already"):
+        Recording(Path("run.arrows"), VirtualClock(), taken).begin(Begin(0, {}))
     none = Recording(None, VirtualClock(), disk.open)
     none.begin(Begin(0, {}))
     none.write(*rows(0, 10), 0)

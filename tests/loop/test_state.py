@@ -282,7 +282,11 @@ def test_a_wait_that_was_cut_off_goes_on(step: Step) -> None:
     writer = StateWriter(image, step, MODE_ON)
     writer.waits = True
     writer.keep(sample(step, 1), np.array([5, -5]), 1)
-    assert "stopped while it waited" in recover(step, found(newest(image.tobytes()))).waits
+    start = recover(step, found(newest(image.tobytes())))
+    assert "stopped while it waited" in start.waits
+    assert start.notes[0].startswith(
+        "the run before waited for an order to resume: its ledger (X -2.50 µm, Z +2.50 µm)"
+    )
 
 
 def test_a_state_that_is_damaged_is_told_and_one_way_waited_for(step: Step) -> None:

@@ -214,7 +214,7 @@ class ReadingBook:
         return bool(printed.values)
 
     def _take_one(self, name: str, value: float, instant_ns: int, now_ns: int) -> None:
-        stuck = self._stuck.look(name, value, now_ns)
+        stuck = "" if name == SPINDLE else self._stuck.look(name, value, now_ns)
         if stuck:
             self.faults[name] = stuck
         else:

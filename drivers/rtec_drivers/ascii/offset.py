@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import HOLDS
 from rtec.machine import Machine
 from rtec_drivers.ascii.offset_options import ENDS, OffsetOptions, OffsetText
 from rtec_drivers.ascii.text import LINE_ENDS, LineReader
@@ -28,7 +29,6 @@ DRAIN_NS = 200_000_000
 """Time, ns, for the last command to leave: 24 characters at 1200 baud."""
 MOST_LINES = 64
 """Lines read at once, so that a controller that floods the line does not hold the thread."""
-HOLDS = "the correction holds until it is ordered to resume"
 
 
 class OffsetAccount:
@@ -281,7 +281,7 @@ line_end = "crlf"
 
     def _tell(self, why: str) -> None:
         if why:
-            self._account.fail(DriverUnavailable(f"{self.options.place}: {why}; trying again"))
+            self._account.fail(DriverUnavailable(f"{why}; trying again"))
 
     def _serve(self, line: ByteLine) -> None:
         worker = self._worker

@@ -37,8 +37,8 @@ class AsciiOptions(PortOptions):
         request: text to send to get a line, for devices that do not print unasked. `\r` and `\n` as in TOML.
         request_period_s: period of the request.
         silent_reopen_s: after this time without any matching line, the port is closed and reopened.
-        stuck_after_s: a reading that is constant to its last digit for this time counts as a broken sensor. Not set:
-            never. Set it longer than the device's resolution keeps a good reading constant.
+        stuck_after_s: a temperature that is constant to its last digit for this time counts as a broken sensor; a
+            device that prints coarse steps needs a longer time.
         longest_line: longer lines are garbage.
     """
 
@@ -53,7 +53,7 @@ class AsciiOptions(PortOptions):
     request: str | None = None
     request_period_s: Annotated[float, Field(ge=0.001, le=3600)] = 1.0
     silent_reopen_s: Annotated[float, Field(ge=1e-3, le=3600)] = 10.0
-    stuck_after_s: SecondsPositive | None = None
+    stuck_after_s: SecondsPositive = 3600.0
     longest_line: Annotated[int, Field(ge=1, le=4096)] = 256
 
     @model_validator(mode="after")

@@ -350,8 +350,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         try:
             return self._tracker.update(state.counts, answer.asked_ns, answer.answered_ns)
         finally:
-            if self._tracker.lost:
-                self._ledger.stop(self._tracker.lost)
+            self._ledger.stop(self._tracker.lost)
 
     def _lose(self, error: str) -> None:
         if self._session is not None:

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtec.errors import DriverFault, DriverTimeout
+from rtec.loop.ports import HOLDS
 
 VERSION = 1
 HELLO, READ, COMMAND, RESUME = 0x01, 0x02, 0x03, 0x04
@@ -203,7 +204,6 @@ def state_of(payload: bytes) -> BoxState | None:
 LARGEST = 2**31 - 1
 PATIENT_TRIES = 10
 """Orders to resume that may be lost on the way before that is reported."""
-HOLDS = "the correction holds until it is ordered to resume"
 
 
 class BoxLedger:
@@ -238,9 +238,8 @@ class BoxLedger:
         self._waiting_ns, self._tries = -1, 0
 
     def stop(self, why: str) -> None:
-        """Command nothing until the order comes."""
-        if not self.must_resume:
-            self.must_resume = f"{why}; {HOLDS}"
+        """Command nothing until the order comes, for this reason; "" changes nothing."""
+        self.must_resume = self.must_resume or why
 
     def reported(self, state: BoxState) -> None:
         """Process the box's report.
@@ -251,14 +250,17 @@ class BoxLedger:
         self.counts = state.ledger
         if state.last_command != self._last_taken:
             self._last_taken, self._waiting_ns = state.last_command, -1
+        why = ""
         if self.boot not in (-1, state.boot):
-            self.stop(f"the encoder box restarted (start {state.boot}, before {self.boot}): its ledger is zero again")
+            why = f"the encoder box restarted (start {state.boot}, before {self.boot}): its ledger is zero again"
         elif self.pending:
             self._take_up(state)
         elif state.status & NOT_RESUMED:
-            self.stop("the encoder box stopped inserting by itself")
+            why = "the encoder box stopped inserting by itself"
         elif state.status & ENCODER_FAULT:
-            self.stop("the encoder box saw a fault of an encoder's signal: the position is not known")
+            why = "the encoder box saw a fault of an encoder's signal: the position is not known"
+        if why:
+            self.stop(f"{why}; {HOLDS}")
 
     def check_command(self, targets: Sequence[int]) -> None:
         """Check that this may be commanded.

@@ -351,8 +351,6 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         self._digest()
         if self._ledger.must_resume:
             raise DriverFault(self._ledger.must_resume)
-        if self._tracker.lost:
-            raise DriverFault(self._tracker.lost)
         if self._good is None:
             raise DriverTimeout(f"{self._where} does not answer")
         values, asked_ns = self._good
@@ -403,7 +401,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
 
     def faults(self) -> list[str]:
         """Present faults, one line each."""
-        texts = (self._port.trouble, self._port.warning, self._ledger.must_resume, self._tracker.lost)
+        texts = (self._port.trouble, self._port.warning, self._ledger.must_resume)
         return [text for text in texts if text]
 
     def _new_session(self) -> CanBoxSession:
@@ -450,4 +448,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         if ledger is not None and not not_yet:
             values, last_command = ledger
             self._ledger.reported(BoxState(newest.boot, newest.status, last_command, 0, newest.counts, values))
-        self._good = (self._tracker.update(newest.counts, newest.asked_ns, newest.came_ns), newest.asked_ns)
+        try:
+            self._good = (self._tracker.update(newest.counts, newest.asked_ns, newest.came_ns), newest.asked_ns)
+        finally:
+            self._ledger.stop(self._tracker.lost)

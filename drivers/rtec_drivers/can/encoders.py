@@ -221,5 +221,5 @@ max_speed_mm_s = 500
     def _silent(self) -> str:
         missing = [n for k, n in enumerate(self._names) if k not in self._pending]
         return (
-            f"can_encoders: no new positions within {self._longest.ns * 1e-6:g} ms (waiting for {', '.join(missing)})"
+            f"can_encoders: no new positions within {self._longest.ns * 1e-6:.3g} ms (waiting for {', '.join(missing)})"
         )

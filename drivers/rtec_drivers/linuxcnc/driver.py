@@ -11,6 +11,7 @@ from pydantic import Field
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import HOLDS
 from rtec.machine import Machine
 from rtec.quantities import MicrometresPositive, SecondsPositive
 from rtec.tomlfile import Strict
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 LONGEST_SOCKET = 100
-HOLDS = "the correction holds until it is ordered to resume"
 FIRST_S, LONGEST_S = 0.1, 2.0
 
 
@@ -40,8 +40,8 @@ class LinuxCncOptions(Strict):
         0.01, description="One unit of output, µm, for those that do not count pulses."
     )
     silent_s: SecondsPositive = Field(0.1, description="So long without a servo period is a LinuxCNC that stands.")
-    stuck_after_s: SecondsPositive | None = Field(
-        None, description="A temperature that stands still to the last digit for so long is wrong; not given: never."
+    stuck_after_s: SecondsPositive = Field(
+        3600.0, description="A temperature that is constant to its last digit for this time is not used."
     )
 
 

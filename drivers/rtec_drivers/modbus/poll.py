@@ -191,7 +191,8 @@ class Poller:
 
     def _no_answer(self, slave: Slave, block: Block, data: bytes, asked_ns: int) -> None:
         now_ns = self._clock.now_ns()
-        why = why_not(data, block.request)
+        late = bool(data) and self._exchange.numbered
+        why = "it answers only earlier requests; raise timeout_s" if late else why_not(data, block.request)
         if data[:1] == bytes([slave.number]) and slave.corrupt + 1 < CORRUPT_IN_A_ROW:
             slave.corrupt += 1
             slave.due_ns = now_ns + slave.period_ns

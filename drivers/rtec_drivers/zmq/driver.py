@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import HOLDS
 from rtec.machine import Machine
 from rtec_drivers.count_tracker import CountTracker, max_counts_per_s
 from rtec_drivers.temperatures import StuckWatch
@@ -87,7 +88,7 @@ class StateBook:
         self._machine, self._options = machine, options
         self._spindle: tuple[float, int] | None = None
         self._offset, self._stuck = ClockOffset(), StuckWatch(options.stuck_after_s)
-        self._boot, self._seq = "", -1
+        self._boot, self._seq, self._old_seq = "", -1, -1
         self._heard_ns = self._now_ns = 0
         self._fault, self._stuck_faults = "", dict[str, str]()
 
@@ -103,8 +104,9 @@ class StateBook:
             self._boot, self._seq = state.boot, -1
             self._offset.reset()
         if state.seq <= self._seq:
+            self._old_seq = state.seq
             return None
-        self._seq, self._heard_ns, self.heard, self._fault = state.seq, now_ns, True, ""
+        self._seq, self._old_seq, self._heard_ns, self.heard, self._fault = state.seq, -1, now_ns, True, ""
         self._offset.add(state.time_ns, now_ns)
         self._keep(state, now_ns)
         return state
@@ -113,6 +115,10 @@ class StateBook:
         """Set the time; silence is counted from the first call."""
         self._heard_ns = self._heard_ns or now_ns
         self._now_ns = now_ns
+
+    def restart(self) -> None:
+        """Accept the next message, whatever its number."""
+        self._seq = self._old_seq = -1
 
     def fault(self, text: str) -> None:
         """Record a fault; it stays until a good message comes."""
@@ -125,12 +131,26 @@ class StateBook:
             DriverFault: a message was malformed, or a sensor is stuck.
             DriverTimeout: silence.
         """
-        place, silent_s = self._options.state, (self._now_ns - self._heard_ns) * 1e-9
         faults = [f for f in (self._fault, *self._stuck_faults.values()) if f]
         if faults:
-            raise DriverFault(f"{place}: {'; '.join(faults)}")
-        if silent_s > self._options.silent_s:
-            raise DriverTimeout(f"{place}: no message for {silent_s:.1f} s")
+            raise DriverFault(f"{self._options.state}: {'; '.join(faults)}")
+        self.tell_silence()
+
+    def tell_silence(self) -> None:
+        """Raise where no new message has come lately.
+
+        Raises:
+            DriverTimeout: silence, or messages whose numbers are not above the last.
+        """
+        place, silent_s = self._options.state, (self._now_ns - self._heard_ns) * 1e-9
+        if silent_s <= self._options.silent_s:
+            return
+        if self._old_seq >= 0:
+            raise DriverTimeout(
+                f"{place}: for {silent_s:.1f} s no seq above {self._seq}, the newest is {self._old_seq}: did the "
+                "program restart with the same boot, or do two publish there? Mend that, then `rtec ctl resume`"
+            )
+        raise DriverTimeout(f"{place}: no message for {silent_s:.1f} s")
 
     def spindle(self) -> float:
         """The spindle speed, 1/min.
@@ -180,9 +200,6 @@ class StateBook:
         return self._offset.ours(their_ns)
 
 
-HOLDS = "the correction holds until it is ordered to resume"
-
-
 class CommandAccount:
     """This side's account of the commands.
 
@@ -208,16 +225,15 @@ class CommandAccount:
         self._refused, self._waiting_ns, self._answered = "", -1, self._seq
 
     def stop(self, why: str) -> None:
-        """Command nothing until the order comes."""
-        if not self.must_resume:
-            self.must_resume = f"{why}; {HOLDS}"
+        """Command nothing until the order comes, for this reason; "" changes nothing."""
+        self.must_resume = self.must_resume or why
 
     def reported(self, boot: str, output: Mapping[str, int]) -> None:
         """Process the other process' report."""
         if not self._boot:
             self._boot = boot
         elif boot != self._boot:
-            self.stop("the other process restarted")
+            self.stop(f"the other process restarted; {HOLDS}")
         if set(output) == set(self._axes):
             self.has = tuple(output[a] for a in self._axes)
 
@@ -338,6 +354,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
     def resume(self) -> None:
         """Go on after the other process restarted or a position was lost."""
         self._commands.order_resume()
+        self._book.restart()
         self._counts, self._counts_ns = None, -(2**62)
         if self._tracker is not None:
             self._tracker.restart()
@@ -399,13 +416,16 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
 
         Raises:
             DriverFault: the other process refuses, restarted, or the command would be a jump.
-            DriverTimeout: nothing accepts commands, or they are not answered.
+            DriverTimeout: nothing accepts commands, they are not answered, or no state confirms them.
             DriverUnavailable: not entered.
         """
         sockets = self._listen()
         now_ns = self._clock.now_ns()
-        sockets.send(self._commands.next_command([int(n) for n in output]))
+        command = tuple(int(n) for n in output)
+        sockets.send(self._commands.next_command(command))
         self._commands.sent(now_ns)
+        if command != self._commands.has:
+            self._book.tell_silence()
 
     def read_output(self, output: IntArray) -> None:
         """Fill in the output that the other process reports.
@@ -451,8 +471,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         try:
             tracker.update(got.values, got.their_ns, got.their_ns)
         finally:
-            if tracker.lost:
-                self._commands.stop(tracker.lost)
+            self._commands.stop(tracker.lost)
         # A message faster than all before makes the offset of the clocks smaller; instants do not go back for that.
         self._counts, self._counts_ns = got, max(self._counts_ns, got.instant_ns)
 

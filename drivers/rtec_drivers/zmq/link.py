@@ -37,7 +37,7 @@ class ZmqOptions(Strict):
         silent_s: a silence of this time is reported.
         command_timeout_s: longest time without an answer to a command before that is reported.
         resume_step: the first command may differ from the output that the other process has by at most this.
-        stuck_after_s: a temperature that is constant for this time is reported. Not set: never.
+        stuck_after_s: a temperature that is constant to its last digit for this time is not used.
     """
 
     state: str
@@ -53,7 +53,7 @@ class ZmqOptions(Strict):
     silent_s: Annotated[float, Field(ge=1e-3, le=3600)] = 1.0
     command_timeout_s: Annotated[float, Field(ge=1e-4, le=60)] = 0.1
     resume_step: Counts = 16
-    stuck_after_s: SecondsPositive | None = None
+    stuck_after_s: SecondsPositive = 3600.0
 
     @model_validator(mode="after")
     def _addresses(self) -> Self:
