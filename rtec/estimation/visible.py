@@ -138,7 +138,7 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
 
 
 def _moved_between(measurements: Sequence[Measurement]) -> set[str]:
-    """Axes that stand at different places in different files, such as a plate that was read at two of them."""
+    """Axes that are at different places in different files, such as a plate that was read at two of them."""
     machine, out = measurements[0].machine, set()
     for axis in machine.axes:
         at = [float(np.median(m.channels[axis.channel])) for m in measurements if axis.channel in m.channels]

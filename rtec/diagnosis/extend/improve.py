@@ -176,25 +176,46 @@ def improve(
     given = clean(measurements, model.reference_degc).without_ends()
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
     done = _improved(growth, model, ask, ask_made, step)
-    goes_on = done.reason in GOES_ON and not growth.events
-    late = done.diagnoses[-1].out_of_date
-    if goes_on and growth.earlier is not None and (done.steps or done.refit is not None or late):
+    if done.reason in GOES_ON and growth.earlier is not None and not growth.events:
         # What the model had known of its numbers may have held them back. Now these readings are its own, too.
         own = {**done.model.measurements, **{m.name: m.fingerprint for m in measurements}}
         grown = replace(done.model, measurements=own)
         growth = _Growth(measurements, given, grown, (seed, alpha, draws), stage, step)
-        again = _improved(growth, grown, ask, ask_made, step) if late else growth.grown(grown, ask, ask_made)
-        done = _joined(done, again)
+        done = _joined(done, _once_more(growth, grown, done, ask, ask_made, step))
     return replace(done, events=tuple(growth.events))
 
 
 GOES_ON: tuple[Reason, ...] = ("no_gain", "nothing_missing")
 """Reasons for which a search may end too early."""
+SET_FREE = 0.5
+"""Numbers are set free only where that leaves less than this share of the mean square on held-out runs: a drift, which
+free numbers follow, leaves more."""
+
+
+def _once_more(
+    growth: "_Growth",
+    model: Model,
+    done: Improved,
+    ask: Callable[[ProposedStep], Finding | None] | None,
+    ask_made: Callable[[Added], bool] | None,
+    step: Callable[[Added], None] | None,
+) -> Improved:
+    """What a second call would do after the first: add what is still missing, or refit what is still out of date."""
+    if not done.diagnoses[-1].out_of_date:
+        return growth.grown(model, ask, ask_made) if done.steps else done
+    refit = growth.refit(model, ask_made is None)
+    if refit is None or refit.after.held_out**2 > SET_FREE * refit.before.held_out**2:
+        return done
+    if ask_made is not None and not ask_made(refit):
+        return done
+    if step:
+        step(refit)
+    return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
 
 
 def _joined(one: Improved, other: Improved) -> Improved:
     """An improvement and the one that followed it."""
-    if not other.steps and other.refit is None:
+    if other is one or (not other.steps and other.refit is None):
         return one
     refit = one.refit
     if not one.steps and other.refit is not None:
