@@ -417,6 +417,10 @@ def _read(
     used, unread = check_columns(names, machine, instrument, accepted.ignore_columns, faults)
     once = [name for name in used if names.count(name) == 1 or is_text]
     raw = read_csv(table, text, accepted, names, once, faults, where) if is_text else read_parquet(table, once, faults)
+    read = raw.columns.get("reading_um")
+    if isinstance(instrument, BallBar) and read is not None and (fault := instrument.length_fault(read)):
+        faults.whole(fault)
+        faults.raise_if_any()
     rows = CheckedRows(raw, instrument.columns(), machine, accepted, faults, where)
     kept = rows.checked()
     if not len(raw):

@@ -383,7 +383,7 @@ def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source:
     done += {"sum": ", added up", "difference": ", each minus the one before"}.get(column.take or "", "")
     done += f" × {column.scale * column.sign:g}" if column.scale * column.sign != 1.0 else ""
     done += f", {unit} to {target}" if unit != target else ""
-    done += f" + {column.offset:g}" if column.offset else ""
+    done += f" {'+' if column.offset > 0.0 else '-'} {abs(column.offset):.10g}" if column.offset else ""
     return values + column.offset, [done, *notes]
 
 

@@ -117,6 +117,7 @@ WORDS: Final[dict[str, frozenset[str]]] = {
             "probe",
         }
     ),
+    "bar": frozenset({"radius", "r", "length", "länge", "laenge", "rayon", "longueur", "radio", "raggio"}),
     "angle": frozenset({"angle", "winkel", "ang", "theta", "phi"}),
     "temperature": frozenset({"temp", "temperatur", "temperature", "degc", "celsius", "thermocouple", "pt100"}),
     "spindle": frozenset({"rpm", "spindle_rpm", "drehzahl", "spindeldrehzahl", "speed"}),
