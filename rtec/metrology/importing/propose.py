@@ -23,6 +23,7 @@ from rtec.files import write_text
 from rtec.machine import Machine
 from rtec.metrology.importing.apply import chosen
 from rtec.metrology.importing.cycles import cycles_of, from_cycles
+from rtec.metrology.importing.diameters import halve_diameters
 from rtec.metrology.importing.map import Cycles, ImportMap
 from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles
 from rtec.metrology.importing.rows import from_events
@@ -295,6 +296,7 @@ def propose(
     roles = ColumnRoles(table, machine, preset, asker.ask, is_log=is_log, remarks=read.remarks)
     content |= roles.content()
     measurement = content["measurement"]
+    halve_diameters(roles, measurement, preset.get("column", {}), asker.ask)
     kind = INSTRUMENTS.get(measurement.get("instrument", ""))
     if kind is not None and kind.axis_use == "optional" and "axis" in answers and "axis" not in measurement:
         measurement["axis"] = answers["axis"]
