@@ -24,11 +24,12 @@ from rtec.machine import Axis, Machine
 from rtec.metrology.files.checks import CheckedRows, check_order, remarks
 from rtec.metrology.files.columns import check_columns, on_circle, still_right
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
+from rtec.metrology.files.table import Raw, Text, header_of, look_over, parquet_names, read_csv, read_own, read_parquet
 from rtec.metrology.files.toml import TABLES, Leniency, find_files, read_measurement_toml
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.unread import is_rotary, varies
 from rtec.tomlfile import nearest
 
 Column = NDArray[np.float64] | NDArray[np.int64]
@@ -55,7 +56,7 @@ def save_measurement(measurement: Measurement, path: Path) -> Path:
         if channel not in of_channel:
             raise MeasurementError(f"{path}: channel {channel!r} has no column{nearest(channel, of_channel)}")
         columns[of_channel[channel]] = values
-    columns |= measurement.readings
+    columns |= {**measurement.unread, **measurement.readings}
     instrument = measurement.instrument
     head = {
         "instrument": instrument.name,
@@ -373,7 +374,7 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     head = file.measurement
     instrument = make_instrument(head.instrument, file.setup, head.axis, head.component, machine, str(toml))
     accepted = file.table.with_(leniency)
-    raw, notes, digest = _read(table, toml, instrument, machine, accepted)
+    raw, own, notes, digest = _read(table, toml, instrument, machine, accepted)
     digest.update(toml.read_bytes())
     columns = machine.columns
     run = raw.columns["run"].astype(np.int64)
@@ -402,13 +403,14 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
         readings={c: raw.columns[c] for c in instrument.columns()},
         sha256=digest.hexdigest(),
         notes=tuple(dict.fromkeys([*head.notes, *still_right(instrument, notes)])),
+        unread=own,
     )
 
 
 def _read(
     table: Path, toml: Path, instrument: Instrument, machine: Machine, accepted: Leniency
-) -> tuple[Raw, list[str], "hashlib._Hash"]:
-    """Numbers, notes, and the running hash of the table."""
+) -> tuple[Raw, dict[str, Floats], list[str], "hashlib._Hash"]:
+    """Numbers, those that nothing reads and that vary, notes, and the running hash of the table."""
     is_text = table.suffix == ".csv"
     where = f"under [table] of {toml.name}"
     faults = Faults(str(table), "line" if is_text else "row")
@@ -433,5 +435,17 @@ def _read(
         if len(kept) and name in kept.columns and np.isnan(kept.columns[name]).all():
             faults.whole(f"column {name!r} has no reading at all")
     faults.raise_if_any()
+    own = _own(table, text if is_text else None, accepted, unread, np.isin(raw.numbers, kept.numbers))
+    angle = kept.columns.get("angle_deg")  # of a circle, which only a ball bar has
+    if angle is not None and not isinstance(instrument, BallBar) and varies("angle_deg", angle):
+        own["angle_deg"] = angle
     notes = list(text.notes) if is_text else []
-    return kept, [*notes, *unread, *rows.notes, *remarks(kept, instrument.columns(), machine)], text.digest
+    notes += [f"columns not read: {', '.join(map(repr, unread))}"] if unread else []
+    return kept, own, [*notes, *rows.notes, *remarks(kept, instrument.columns(), machine)], text.digest
+
+
+def _own(table: Path, text: Text | None, accepted: Leniency, unread: list[str], kept: Bools) -> dict[str, Floats]:
+    """The user's own columns that vary, in the kept rows; of those that are ignored on purpose the angles alone."""
+    asked = [n for n in unread if n not in accepted.ignore_columns or is_rotary(n)]
+    found = read_own(table, text, accepted, asked) if asked else {}
+    return {n: v[kept] for n, v in found.items() if len(v) == len(kept) and varies(n, v[kept])}

@@ -31,6 +31,7 @@ from rtec.metrology.readers.base import Floats, ForeignTable, number_or_none
 from rtec.metrology.readers.delimited import unit_named
 from rtec.metrology.readers.layout import Guess
 from rtec.metrology.units import UNITS, convert
+from rtec.metrology.unread import is_rotary
 from rtec.wording import counted
 
 DATES = (
@@ -49,6 +50,8 @@ BY_LETTER = ("tool_tip", "grid_encoder", "squareness")
 """Instruments with a reading in each of several directions."""
 BAR_MM, BAR_VARIES = 10.0, 0.01
 """A column is the length of a ball bar if it is above the first, and varies by less than the second share."""
+TURNED_DEG = 1.0
+"""An angle that varies by more is that of a rotary axis: errors of machines are far smaller."""
 CLEAR = 0.9
 """Share of the motions that must agree with the meaning of a number."""
 MEANS = {1: "actual minus nominal", -1: "nominal minus actual, turned round"}
@@ -327,6 +330,8 @@ class ColumnRoles:
         """`[measurement]`, with the columns of positions and readings."""
         if head.get("instrument") == "ball_bar":
             self._angle()
+        else:
+            self._rotary()
         free = [n for n in self._free() if len(self._finite(n)) and not self._is_direction(n)]
         readings = [n for n in self.columns if n.startswith("reading")]
         deviations = [n for n in free if self._is_reading(n)]
@@ -356,6 +361,17 @@ class ColumnRoles:
                 answer = self.ask(f"unit of {name}", f"Unit of the angle {name!r}?", (), "deg", "deg, rad, mrad")
                 keys = self._in_unit(answer, name, "angle")
             self._take(name, "angle_deg", "the angle on the circle", **keys)
+
+    def _rotary(self) -> None:
+        """The angles of rotary axes, which nothing reads; `diagnose` asks whether the readings depend on them."""
+        for name in self._free():
+            unit, letters = self.units.get(name, ""), [w for w in words_of(name) if w in ("a", "b", "c")]
+            target = f"{letters[0] if len(letters) == 1 else 'angle'}_deg"
+            if unit not in ("deg", "rad") or target in self.columns or not is_rotary(name):
+                continue
+            values = self._finite(name)
+            if len(values) and float(np.ptp(convert(values, unit, "deg"))) > TURNED_DEG:
+                self._take(name, target, "the angle of a rotary axis, which rtec does not read")
 
     def _bars(self, free: Sequence[str]) -> list[str]:
         """The columns of a ball bar's length: by their names, else by their sizes."""
