@@ -28,6 +28,7 @@ from rtec.metrology.files.table import Raw, Text, header_of, look_over, parquet_
 from rtec.metrology.files.toml import TABLES, Leniency, find_files, read_measurement_toml
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.squareness import SquarenessProbe
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.unread import is_rotary, varies
 from rtec.tomlfile import nearest
@@ -299,6 +300,49 @@ def approached(machine: Machine, channels: Mapping[str, Floats], run: Ints, read
     return {} if found is None else {axis.direction_channel: found}
 
 
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
+def on_arms(
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, readings: Mapping[str, Floats]
+) -> dict[str, Floats]:
+    """Directions of the two axes on the arms of a square, by direction channel.
+
+    An axis goes to the place of the other arm between the arms: that motion tells the arm, not the direction of a
+    reading. On its own arm the axis has the direction of its positions there, from the first one on; while the other
+    axis travels it keeps the last one.
+
+    Returns:
+        -1 or +1 for each reading, (n,), of each axis without a direction and a velocity of its own; empty for any other
+        instrument, and where the readings do not show the arms.
+    """
+    if not isinstance(instrument, SquarenessProbe) or instrument.component is not None:
+        return {}
+    read = np.stack([np.isfinite(readings[c]) for c in instrument.columns()])
+    out = {}
+    for axis in (machine.axis(name) for name in instrument.axes()):
+        known = {axis.direction_channel, axis.velocity_channel} & channels.keys()
+        mine = (read == np.array(instrument.reads_while(axis.name))[:, None]).all(axis=0)
+        if known or axis.channel not in channels or not mine.any():
+            continue
+        way = np.zeros(len(run))
+        other_arm, other_run = mine[1:] != mine[:-1], run[1:] != run[:-1]
+        edges = (np.flatnonzero(other_arm | other_run) + 1).tolist()
+        for a, b in itertools.pairwise([0, *edges, len(run)]):
+            if mine[a]:
+                way[a:b] = _filled(
+                    direction_track(np.ascontiguousarray(channels[axis.channel][a:b]), axis.dead_band_mm)
+                )
+        if way.any():
+            out[axis.direction_channel] = _filled(way)
+    return out
+
+
+def _filled(way: Floats) -> Floats:
+    """Directions, where a zero is the direction before it; the zeros before the first motion are the first one."""
+    last = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way)), -1))
+    known = np.flatnonzero(way)
+    return np.where(last >= 0, way[last], way[known[0]] if len(known) else 0.0)
+
+
 def _approach(axis: Axis, position_mm: Floats, read: Bools) -> Floats | None:
     """Directions by all rows, by those without the pauses of a log, or by the read ones; a lost reading is a stop."""
     gone = np.concatenate([[False], ~read, [False]])
@@ -391,6 +435,9 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
         notes += [f"no column {written[c]}: the feed in the direction of motion, as moves_at_feed says" for c in found]
         channels |= found
     channels |= by_velocity(machine, channels, run, read)
+    arms = on_arms(instrument, machine, channels, run, raw.columns)
+    notes += [f"no column {written[c]}: taken from its own arm of the square" for c in arms]
+    channels |= arms
     sides = approached(machine, channels, run, read)
     notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]
     return Measurement(
