@@ -60,9 +60,11 @@ Share = Annotated[float, Field(ge=0, le=1), ZeroOrMore]
 WattsPerKelvin = Annotated[float, Field(ge=0, le=1e6), ZeroOrMore]
 Kilograms = Annotated[float, Field(ge=0, le=1e6)]
 Newtons = Annotated[float, Field(ge=-1e9, le=1e9)]
-Coefficient = Annotated[float, Field(ge=-1e12, le=1e12)]
+LARGEST = 1e12
+"""Largest number of a model file, and of a standard error in it."""
+Coefficient = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 """A number whose unit depends on its place: a coefficient of a model, an offset of a column."""
-CoefficientNotNegative = Annotated[float, Field(ge=0, le=1e12)]
+CoefficientNotNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Factor = Annotated[float, Field(ge=-1e12, le=1e12), AfterValidator(_not_zero)]
 """A factor of readings."""
 Code = Annotated[float, Field(ge=-(2.0**64), le=2.0**64)]

@@ -1,5 +1,6 @@
 """Characterises a machine: from measurements to a geometric-thermal model."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -239,18 +240,36 @@ def _further_rules(
     return replace(rules, single=single, barred=barred | _crowded(readings, fit.terms[fixed:], named))
 
 
+TAKES_BACK = 3.0
+"""Two delays of one temperature take back what the other makes, where one makes this many times what both do."""
+
+
 def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> list[frozenset[Drive]]:
     """Drives of expansions of one component, each more than any material's, of which one takes back what others make.
 
-    They fit the difference of two temperatures on this day.
+    They fit the difference of two temperatures on this day. And drives of one effect by one temperature with two
+    delays, of which one makes several times what both together do: they fit how fast it changes.
     """
     grown: dict[str, list[tuple[float, Drive]]] = {}
+    total, owner = fit.linear.total, fit.linear.owner
     for i, term in enumerate(fit.terms[fixed:], fixed):
         k = float(fit.values[np.flatnonzero(fit.linear.owner == i)[0]])
         if isinstance(term.effect, AxisExpansion) and abs(k) > EXPANDS and not named(term):
             grown.setdefault(term.effect.component, []).append((k, drive(term.effect)))
     signs = [(frozenset(d for _, d in of), {k > 0.0 for k, _ in of}) for of in grown.values()]
-    return [drives for drives, ways in signs if len(ways) > 1]
+
+    def square(*terms: int) -> float:
+        own = np.flatnonzero(np.isin(owner, terms))
+        return float(fit.values[own] @ total[np.ix_(own, own)] @ fit.values[own])
+
+    late = [i for i, t in enumerate(fit.terms) if i >= fixed and "tau" in t.theta and not named(t)]
+    pairs = [
+        (i, j) for i, j in itertools.combinations(late, 2) if drive(fit.terms[i].effect) == drive(fit.terms[j].effect)
+    ]
+    both = [p for p in pairs if max(square(p[0]), square(p[1])) > TAKES_BACK**2 * square(*p)]
+    return [drives for drives, ways in signs if len(ways) > 1] + [
+        frozenset({drive(fit.terms[i].effect)}) for i, _ in both
+    ]
 
 
 def _crowded(readings: Readings, terms: Sequence[Term], named: Callable[[Term], bool]) -> frozenset[Drive]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.choose import NEAR
+from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.normal import Normal
 
@@ -18,6 +19,11 @@ Ints = NDArray[np.int64]
 CHANCE = 0.05
 """Accepted false-positive rate of a term, over all candidates."""
 ROUNDING = 1e-12
+
+
+PLAIN = ("scale", "backlash", "squareness")
+"""Every machine has these: each is one of them, not of all candidates. But a scale error may be the warmth of the day,
+where no expansion beside it is significant."""
 
 
 def surety(fit: Estimate, candidates: int) -> Floats:
@@ -30,9 +36,20 @@ def surety(fit: Estimate, candidates: int) -> Floats:
         fit: the fitted terms, with fixed non-linear parameters.
         candidates: number of candidates from which the terms were chosen.
     """
-    ways = [fit.linear, fit.linear.by_part]
-    ratios = [_distances(way, fit) / far_for_chance(candidates, len(way.gram)) for way in ways]
-    return np.asarray(np.min(ratios, axis=0), dtype=np.float64)
+
+    def among(count: int) -> Floats:
+        ways = [fit.linear, fit.linear.by_part]
+        return np.asarray(np.min([_distances(way, fit) / far_for_chance(count, len(way.gram)) for way in ways], axis=0))
+
+    of_all, of_few, owner = among(candidates), among(min(len(PLAIN), candidates)), fit.linear.owner
+    grows = {
+        t.effect.component
+        for i, t in enumerate(fit.terms)
+        if isinstance(t.effect, AxisExpansion) and of_all[owner == i].max() >= 1.0
+    }
+    effects = [t.effect for t in fit.terms]
+    plain = [e.effect in PLAIN and (e.effect != "scale" or e.component in grows) for e in effects]
+    return np.where(np.array(plain, dtype=np.bool_)[owner], of_few, of_all)
 
 
 def spared(fit: Estimate, columns: Ints) -> bool:

@@ -116,9 +116,13 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
 
 def of_changes(changed: Sequence[ChangedNumber]) -> str:
     """Numbers of a model that have changed, before and now, in words."""
-    parts = [f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}" for c in changed]
+    parts = list(map(_moved, changed))
     more = f" and {len(parts) - MOST_CHANGED} more" if len(parts) > MOST_CHANGED else ""
     return f"Numbers of the model have changed since it was fitted: {', '.join(parts[:MOST_CHANGED])}{more}"
+
+
+def _moved(c: ChangedNumber) -> str:
+    return f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}"
 
 
 def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float) -> Diagnosis:
@@ -202,9 +206,11 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
     slow = drifts(d)
     if d.out_of_date:
+        moved = d.judged.most_moved if d.judged is not None else None
+        above_all = f", above all {_moved(moved)}" if moved is not None else ""
         return (
-            f"no effect is missing, but the model's numbers are out of date: {levels}; refitted to these readings the "
-            f"residual is {number(d.refit)} {unit} (`rtec improve` refits them){slow}"
+            f"no effect is missing, but the model's numbers are out of date{above_all}: {levels}; refitted to these "
+            f"readings the residual is {number(d.refit)} {unit} (`rtec improve` refits them){slow}"
         )
     limit = ""
     if math.isfinite(smallest):

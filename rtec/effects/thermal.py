@@ -391,9 +391,9 @@ class CoolantExpansion(MountExpansion):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Sensors in the coolant."""
-        for sensor in _in_coolant(around):
-            yield {"sensor": sensor}
+        """Sensors in the coolant; each also delayed, for a body that warms up after it."""
+        for lag, sensor in itertools.product((False, True), _in_coolant(around)):
+            yield {"sensor": sensor, "lag": lag}
 
 
 def _in_coolant(around: Surroundings) -> list[str]:

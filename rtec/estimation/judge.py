@@ -1,5 +1,6 @@
 """One judgement of a model on measurements: the same residual, noise floor and held-out error in every command."""
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,6 +13,7 @@ from rtec.estimation import floor
 from rtec.estimation.columns import Base, base_of
 from rtec.estimation.floor import Floor, Unit
 from rtec.estimation.gls import HeldOut, held_out
+from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import Whitener, noise_on_stretches
 from rtec.estimation.outliers import Clean
 from rtec.estimation.plain import Plain, as_good, plain_fit
@@ -138,6 +140,19 @@ class Judgement:
         """Residual with the model's own numbers refitted by ordinary least squares."""
         columns, values = self.base.columns, self._plain[1]
         return min(self.pooled(floor.cleaned(self.readings, self.readings.values - columns @ values)), self.residual)
+
+    @property
+    def most_moved(self) -> ChangedNumber | None:
+        """The number whose refit by ordinary least squares changes the prediction most; None where there is none."""
+        out, most, at = None, 0.0, 0
+        for f in self.model.effects:
+            for p in f.effect.coefficients(self.readings.machine):
+                was, now = f.values[p.name], float(self._plain[1][at])
+                change = self.pooled(floor.cleaned(self.readings, self.base.columns[:, at] * (now - was)))
+                if change > most:
+                    out, most = ChangedNumber(f.label, p.name, p.unit, was, now, math.nan), change
+                at += 1
+        return out
 
     @cached_property
     def _held_out(self) -> HeldOut:

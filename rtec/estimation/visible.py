@@ -1,6 +1,6 @@
 """What measurements can see: component errors, and axes that moved."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,7 +79,8 @@ def visible_components(measurements: Sequence[Measurement]) -> list[VisibleCompo
     first link of the work chain: constant errors of one link or another look the same.
     """
     machine = measurements[0].machine
-    moving = {a.name for a in machine.axes if any(moves(m, a) for m in measurements)}
+    between = _moved_between(measurements)
+    moving = between | {a.name for a in machine.axes if any(moves(m, a) for m in measurements)}
     found: dict[str, None] = {}
     for m in measurements:
         direct = m.instrument.component
@@ -87,7 +88,7 @@ def visible_components(measurements: Sequence[Measurement]) -> list[VisibleCompo
             found[direct] = None
     for m in measurements:
         if m.instrument.component is None:
-            found |= dict.fromkeys(_through_arms(m, machine))
+            found |= dict.fromkeys(_through_arms(m, machine, between))
     datum = _datum(measurements)
     return [VisibleComponent(c, axis_of(c, machine), _axis_name(c, machine) in moving) for c in found if c not in datum]
 
@@ -136,10 +137,20 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
     return out
 
 
-def _through_arms(m: Measurement, machine: Machine) -> list[str]:
+def _moved_between(measurements: Sequence[Measurement]) -> set[str]:
+    """Axes that stand at different places in different files, such as a plate that was read at two of them."""
+    machine, out = measurements[0].machine, set()
+    for axis in machine.axes:
+        at = [float(np.median(m.channels[axis.channel])) for m in measurements if axis.channel in m.channels]
+        if at and max(at) - min(at) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0]):
+            out.add(axis.name)
+    return out
+
+
+def _through_arms(m: Measurement, machine: Machine, between: Collection[str] = ()) -> list[str]:
     there = longest_arms(m) > NO_ARM
     moving = {a.name for a in machine.axes if moves(m, a)}
-    links = {*moving, _spindle(machine)}
+    links = {*moving, *between, _spindle(machine)}
     names = [
         c for c, ok in zip(machine.components, there, strict=True) if ok and (_axis_name(c, machine) or c[3:]) in links
     ]

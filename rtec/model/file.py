@@ -15,7 +15,14 @@ from rtec.errors import ModelError
 from rtec.files import whole
 from rtec.machine import Machine
 from rtec.model.model import ErrorCorrelation, FittedEffect, Model, number_names
-from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, DegreesCelsius, MicrometresNotNegative
+from rtec.quantities import (
+    LARGEST,
+    Coefficient,
+    CoefficientNotNegative,
+    Counts,
+    DegreesCelsius,
+    MicrometresNotNegative,
+)
 from rtec.tomlfile import Strict, read_toml, validated
 
 FORMAT = 1
@@ -256,7 +263,8 @@ def _effect_table(fitted: FittedEffect, machine: Machine) -> dict[str, Any]:
     def numbers(parameters: Any, values: Mapping[str, float]) -> dict[str, Any]:
         out = {}
         for p in parameters:
-            se = {"se": fitted.errors[p.name]} if math.isfinite(fitted.errors.get(p.name, math.nan)) else {}
+            error = fitted.errors.get(p.name, math.nan)
+            se = {"se": min(error, LARGEST)} if math.isfinite(error) else {}  # larger: nothing is known of it
             out[p.name] = {"value": float(values[p.name]), **se, "unit": p.unit}
         return out
 

@@ -309,7 +309,7 @@ def _next(d: Diagnosis) -> list[str]:
             return typed  # which refits the model's numbers as well
     if d.mostly_changed:
         return [shell_command("rtec", "improve", *d.files, *last)]
-    sure = d.verdict == "missing_effect"
+    sure = d.verdict == "missing_effect" or any(doubt.kind == "too_few" for doubt in d.doubts)
     if d.verdict == "ambiguous" and len(d.together) < 2:
         rivals = _rivals(d) if d.machine_file is not None else []
         if rivals:

@@ -138,7 +138,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     refit = _refit_words(r.refit) if r.refit else ""
     if not r.steps:
         lead = f"{refit}No effect was added: {_why_ended(r)}."
-        said = r.reason == "unknown_effect" or (r.events and r.reason == "nothing_missing")  # by the verdict
+        said = r.reason in ("unknown_effect", "nothing_missing")  # by the verdict
         lead = f"{refit}No effect was added." if said else lead
         lead = f"{lead} {_last_verdict(r)}"
     else:

@@ -58,6 +58,16 @@ def test_no_effects_that_cancel_on_a_short_record(seed: int, runs: int, source: 
     assert other_day_um(found, w) < w.missed_um(np.zeros(len(w.other)))
 
 
+@pytest.mark.parametrize(("seed", "runs"), [(196, 6), (257, 12)])
+def test_two_delays_of_one_temperature_do_not_take_back_what_each_makes(seed: int, runs: int) -> None:
+    """They had fitted how fast it changes. Oracle: the law has one delay, of another temperature."""
+    w = warming(seed, runs, source="T_air", lag_s=900.0)
+    found = characterise([w.given])
+    late = [getattr(f.effect, "sensor", "") for f in found.model.effects if f.theta]
+    assert len(late) == len(set(late))
+    assert other_day_um(found, w) < w.missed_um(np.zeros(len(w.other)))
+
+
 @pytest.mark.parametrize("seed", [16, 73, 107])
 def test_no_delay_is_longer_than_half_of_the_record(seed: int) -> None:
     """A temperature that lags by more hardly moves, so that its number may be of any size."""

@@ -134,6 +134,16 @@ def test_a_wrong_factor_is_asked_about_where_numbers_are_out_of_date_as_well(fac
     assert not compare(known, [now]).doubts
 
 
+@pytest.mark.parametrize("factor", [10.0, 2.0])
+def test_a_temperature_beside_those_of_other_sensors_has_no_wrong_unit(factor: float) -> None:
+    """Oracle: the other sensor shows 20 °C as well; times ten the bed would be beyond what its sensor can show."""
+    growth = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11"
+    m = laser([growth], 72)
+    warmer = (factor - 1.0) * m.channels["T_bed"]
+    stretched = m.readings["reading_um"] + 11e-3 * m.channels["x"] * warmer
+    assert "wrong_channel" not in kinds(compare(model(growth), [replace(m, readings={"reading_um": stretched})]).doubts)
+
+
 def test_a_corrected_machine_is_not_called_a_wrong_model() -> None:
     """The loop was on: the readings hold noise, where the model says 20 µm."""
     (doubt,) = compare(model("scale,component=EXX,axis=X,k=300"), [laser([], 15)]).doubts

@@ -1,10 +1,12 @@
 """Heat that no sensor, or the wrong one, recorded; curves that may be waves; two simple causes before one rich one."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lsim
 
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
@@ -17,6 +19,7 @@ from rtec.effects import effect_class
 from rtec.estimation.candidates import library
 from rtec.estimation.noise import Noise, Whitener
 from rtec.estimation.readings import read
+from rtec.machine import Sensor
 from rtec.metrology.files.load import load_measurement
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -288,3 +291,27 @@ def test_an_instrument_that_drifts_by_no_more_than_twice_its_noise_is_no_alarm(s
     d = diagnose(Model(small_machine(), ()), [probe(seed, 0.4)], draws=50)
     assert d.verdict == "nothing_missing"
     assert not d.doubts
+
+
+def test_a_part_that_follows_the_coolant_late_is_named() -> None:
+    """A chiller that switches every 40 min moves a part 1.8 µm/K, 240 s late. Oracle: scipy's linear system, and noise.
+
+    Without a delayed form a tilt between coolant and bed, of a small part of it, had come first.
+    """
+    machine, rng = small_machine(), np.random.default_rng(4)
+    machine = replace(machine, sensors=(*machine.sensors, Sensor("T_coolant")))
+    time_s = np.arange(0.0, 6.0 * 3600.0, 60.0)
+    room = 20.0 + 0.5 * np.sin(time_s / 9000.0)
+    coolant = room + lsim(([1.0], [300.0, 1.0]), 3.0 * (time_s % 2400.0 < 900.0), time_s)[1]
+    part = 1.8 * lsim(([1.0], [240.0, 1.0]), coolant - coolant[0], time_s)[1]
+    warm = {"T_bed": room + time_s / 40000.0, "T_air": room, "T_coolant": coolant}
+    channels = {n: np.round(v + 0.02 * rng.standard_normal(len(v)), 2) for n, v in warm.items()}
+    made = make_instrument("spindle_drift", {"probe": {"z": {"direction": "Z"}}}, None, None, machine, "probe")
+    read_um = part + 0.2 * rng.standard_normal(len(part))
+    run = np.ones(len(time_s), dtype=np.int64)
+    m = Measurement("chiller", made, machine, run, time_s, channels, {"reading_z_um": read_um})
+    first = diagnose(Model(machine, name="empty"), [m], draws=50).findings[0]
+    assert first.effect.effect == "coolant_expansion"
+    assert first.accepted
+    assert abs(first.parameters["k"].value) == pytest.approx(1.8, rel=0.1)
+    assert first.parameters["tau"].value == pytest.approx(240.0, rel=0.25)

@@ -5,7 +5,9 @@ which of them stretches the scale. But one of them does so beside the scale that
 beside a scale that is far from it.
 """
 
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import pytest
 from rtec.characterise import fitted_model
 from rtec.diagnosis.extend.improve import Improved, ProposedStep, improve
 from rtec.diagnosis.result import Finding
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
@@ -20,9 +23,10 @@ from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.report.diagnosis import diagnosis_page
 from tests.support.machines import axis
 
-NOISE_UM, REFERENCE_DEGC = 0.4, 20.0
+NOISE_UM, DRAUGHT_UM, REFERENCE_DEGC = 0.4, 0.9, 20.0
 SCALE, BACKLASH, ALPHA = 12.0, 3.0, 11.0
 MACHINE = machine_from(
     {
@@ -86,3 +90,53 @@ def test_who_is_asked_is_asked_about_that_one_first(cause: str) -> None:
 
     improved(cause, ask=ask, ask_made=lambda _: True)
     assert asked == [f"axis_expansion(EXX, X, {cause})"]
+
+
+def there_and_back(name: str, seed: int, backlash_um: float) -> Measurement:
+    """A laser once there and once back, seventeen targets, in a draught; nothing warms."""
+    rng, x = np.random.default_rng(seed), np.linspace(20.0, 680.0, 17)
+    place, way = np.concatenate([x, x[::-1]]), np.repeat([1.0, -1.0], 17)
+    reading = 1e-3 * place * SCALE + 0.5 * backlash_um * way + DRAUGHT_UM * rng.normal(size=34)
+    instrument = make_instrument("laser_linear", {}, "X", "EXX", MACHINE, name)
+    return Measurement(
+        name=name, machine=MACHINE, instrument=instrument, run=np.repeat([1, 2], 17), time_s=np.arange(34.0),
+        channels={"x": place, "d_x": way, "T_bed": np.full(34, 20.0), "T_head": np.full(34, 20.0)},
+        readings={"reading_um": reading},
+    )  # fmt: skip
+
+
+def test_improve_refits_what_a_diagnosis_says_it_refits() -> None:
+    """A reversal that grew between two days of one run there and one back. Oracle: what was put in, and the noise.
+
+    What the first day knew of it had held it back at half of the way.
+    """
+    known = fitted_model(
+        [there_and_back("before", 4, 1.0)], wanted=read_wanted("scale,polynomial_position,backlash", MACHINE)
+    )
+    worn = there_and_back("now", 5, 5.5)
+    found = diagnose(known, [worn], draws=50)
+    assert found.out_of_date
+    assert "above all backlash(EXX, X) B from " in found.sentence
+    done = improve(known, [worn], draws=50)
+    assert not done.steps
+    assert done.refit is not None
+    assert next(f for f in done.model.effects if f.effect.effect == "backlash").values["B"] == pytest.approx(
+        5.5, abs=0.4
+    )
+    assert done.refit.before.held_out > 2.0 * done.refit.after.held_out
+    third = clean([there_and_back("third", 6, 5.5)], REFERENCE_DEGC)
+    assert Judgement(done.model, third).residual < 1.2 * DRAUGHT_UM
+
+
+def test_what_so_few_readings_show_is_said_and_offered_on_trial() -> None:
+    """A reversal that the model lacks, one run there and one back. Oracle: what was put in; a jump does the same.
+
+    It had been "neither an effect of the catalogue nor a shape" above a table whose first line removed 93 %.
+    """
+    known = fitted_model([there_and_back("before", 14, 0.0)], wanted=read_wanted("scale", MACHINE))
+    d = diagnose(known, [there_and_back("now", 15, 5.5)], draws=50)
+    assert d.verdict == "undecided"
+    assert [x.kind for x in d.doubts if x.fatal] == ["too_few"], d.sentence
+    assert "backlash(EXX, X) explains 2." in d.sentence
+    (command,) = diagnosis_page(replace(d, files=(Path("model.toml"), Path("now.csv"))), figures=False).next
+    assert command.startswith("rtec add model.toml backlash --component EXX")

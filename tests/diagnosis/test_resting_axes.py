@@ -80,3 +80,39 @@ def test_only_tilts_of_the_chain_of_the_spindle_that_differ_are_candidates(tmp_p
     m = drift(tmp_path, "EAX", 1)
     tilts = [v.name for v in visible(read([m])) if v.axis is not None]
     assert tilts == ["EAX", "EBX", "EAY", "EBY"]
+
+
+GANTRY = """[machine]
+name = "cmm"
+tool_chain = ["Y", "X", "Z", "tool"]
+work_chain = ["table"]
+[axis]
+X = { direction = "X", travel_mm = [0, 700], counts_per_mm = 1000 }
+Y = { direction = "Y", travel_mm = [0, 1000], counts_per_mm = 1000 }
+Z = { direction = "Z", travel_mm = [0, 500], counts_per_mm = 1000 }
+[link]
+tool.offset_mm = [0, 0, -80]
+table = {}
+"""
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_axis_that_stands_elsewhere_in_each_file_is_a_candidate(tmp_path: Path, seed: int) -> None:
+    """A plate in YZ at two places of X, whose beam twists by 45 µrad/m. Oracle: the angle times the height."""
+    (tmp_path / "machine.toml").write_text(GANTRY)
+    made, rng = load_machine(tmp_path / "machine.toml"), np.random.default_rng(seed)
+    y, z = (v.ravel() for v in np.meshgrid(np.linspace(300.0, 900.0, 6), np.linspace(60.0, 440.0, 5)))
+    y, z, run = np.tile(y, 3), np.tile(z, 3), np.repeat([1, 2, 3], 30)
+    plates = []
+    for at in (150.0, 550.0):
+        turned = 45.0 * at * 1e-3
+        read_um = {f"reading_{a}_um": 0.4 * rng.standard_normal(90) for a in "xyz"}
+        read_um["reading_y_um"] = read_um["reading_y_um"] + 1e-3 * turned * (z - 250.0)
+        channels = {"x": np.full(90, at), "y": y, "z": z}
+        instrument = make_instrument("tool_tip", {}, None, None, made, "plate")
+        plates.append(Measurement(f"at{at:.0f}", instrument, made, run, 20.0 * np.arange(90.0), channels, read_um))
+    first = diagnose(Model(made), plates, draws=50).findings[0]
+    assert first.accepted
+    assert first.effect.effect == "guide_twist"
+    assert first.effect.component == "EAX"
+    assert abs(first.parameters["k"].value) == pytest.approx(45.0, rel=0.1)

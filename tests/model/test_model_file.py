@@ -239,6 +239,17 @@ def test_the_file_stands_whole_before_it_takes_the_name(tmp_path: Path, monkeypa
     assert seen == [("old", path.read_text(encoding="utf-8"))]
 
 
+def test_a_delay_of_which_nothing_is_known_is_read_again(tmp_path: Path) -> None:
+    """A fit gave it a standard error of fifty thousand years. Oracle: the file is read, and its numbers are those."""
+    scale, drift = model().effects
+    vague = replace(drift, errors={"k": 0.1, "tau": 1.6e12})
+    path = tmp_path / "m.toml"
+    save_model(replace(model(), effects=(scale, vague)), path)
+    read = load_model(path, MACHINE).effects[1]
+    assert (read.values, read.theta) == (drift.values, drift.theta)
+    assert read.errors["tau"] > 1e6 * read.theta["tau"]
+
+
 def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for place in (tmp_path / "no" / "m.toml", tmp_path / "file" / "m.toml"):

@@ -2,9 +2,10 @@
 
 import itertools
 import math
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +97,10 @@ class Edit:
         return Doubt(self.kind, message, f"Check {self.check} before a new effect is blamed.", fatal=self.fatal)
 
 
+def _celsius(fahrenheit: Floats) -> Floats:
+    return (fahrenheit - 32.0) / 1.8
+
+
 class Edits:
     """Edits that only a file can need: a channel in another unit, two labels exchanged, an axis homed elsewhere."""
 
@@ -158,6 +163,7 @@ class Edits:
                 continue
             suspect, check = "its unit or its scale in the file may be wrong", "that column"
             factors = [f for f in CHANNEL_FACTORS if self._within_travel(channel, f)]
+            factors = [f for f in factors if self._as_warm_as_others(channel, partial(operator.mul, f))]
             times = [{channel: lambda s, c=channel, f=f: f * s.channels[c]} for f in factors]
             still = min(self._without_change(channel), self._without_effects(channel))
             for factor, residual, made in zip(factors, self.residuals(times), times, strict=True):
@@ -167,9 +173,9 @@ class Edits:
                 edit, of_unit = f"{channel} times {by}", factor not in NO_UNIT
                 yield Edit(float(residual), "wrong_channel", edit, suspect, check, made, of_unit=of_unit)
             if channel in self.model.machine.sensor_names:
-                celsius: Replaced = {channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}  # type: ignore[misc]
+                celsius: Replaced = {channel: lambda s, c=channel: _celsius(s.channels[c])}  # type: ignore[misc]
                 residual, edit = self.residuals([celsius])[0], f"{channel} read as °F"
-                if AS_GOOD * float(residual) > still:
+                if AS_GOOD * float(residual) > still or not self._as_warm_as_others(channel, _celsius):
                     continue
                 yield Edit(float(residual), "wrong_channel", edit, suspect, check, celsius, of_unit=True)
 
@@ -190,6 +196,24 @@ class Edits:
             return math.inf
         left = floor.cleaned(self.readings, np.stack([whole + p for p in (*some, np.sum(some, axis=0))], axis=1))
         return min(floor.pooled(self.readings, floor.rms_by_series(self.readings, v), self.scale) for v in left.T)
+
+    def _as_warm_as_others(self, channel: str, edited: Callable[[Floats], Floats]) -> bool:
+        """Whether an edited temperature is one that its sensor can show, and no further from the others than before.
+
+        True of all other channels.
+        """
+        machine = self.model.machine
+        if channel not in machine.sensor_names:
+            return True
+        states = [s for s in self.readings.states if channel in s.channels]
+        low, high = machine.sensors[machine.sensor_place(channel)].range_degc
+        shown = np.concatenate([edited(s.channels[channel]) for s in states])
+        if np.nanmin(shown) < low or np.nanmax(shown) > high:
+            return False
+        names = [n for n in machine.sensor_names if n != channel and all(n in s.channels for s in states)]
+        others = float(np.median([np.nanmedian(np.concatenate([s.channels[n] for s in states])) for n in names] or [0]))
+        was = np.concatenate([s.channels[channel] for s in states])
+        return not names or abs(float(np.nanmedian(shown)) - others) < abs(float(np.nanmedian(was)) - others)
 
     def _within_travel(self, channel: str, factor: float) -> bool:
         """Whether a position times a factor that a unit has is within the travel; true of all other channels.

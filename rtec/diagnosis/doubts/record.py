@@ -25,7 +25,7 @@ from rtec.estimation.two_levels import two_levels
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.model import Model
 from rtec.model.history import steps_of
-from rtec.wording import ERROR_UNITS, significant, sizes
+from rtec.wording import ERROR_UNITS, percent, significant, sizes
 
 Floats = NDArray[np.float64]
 
@@ -136,6 +136,25 @@ def unexplained(judged: Judgement) -> Doubt | None:
     )
     step = "`rtec compare --report` draws it over each variable."
     return Doubt("unexplained", message, f"Diagnose each file alone. {step}" if several else step, fatal=True)
+
+
+def too_few(judged: Judgement, effect: str, size: float, drop: float) -> Doubt:
+    """Doubt that readings are too few to name the effect that explains most of them.
+
+    Args:
+        judged: the model.
+        effect: what explains them, in words.
+        size: of what it explains, in the unit of the readings.
+        drop: relative fall of the mean square on held-out runs.
+    """
+    explains, residual = sizes(size, judged.residual)
+    unit = ERROR_UNITS[judged.unit]
+    message = (
+        f"{effect} explains {explains} of the {residual} {unit} of the residual, and adding it removes {percent(drop)} "
+        "of the held-out mean square error; but so few readings do not separate it from a jump or a drift."
+    )
+    step = "Measure there and back at least four times; until then `rtec add` adds it on trial."
+    return Doubt("too_few", message, step, fatal=True)
 
 
 def _in_range(model: Model, state: State) -> NDArray[np.bool_]:

@@ -176,7 +176,31 @@ def improve(
     given = clean(measurements, model.reference_degc).without_ends()
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
     done = _improved(growth, model, ask, ask_made, step)
+    goes_on = done.reason in GOES_ON and not growth.events
+    late = done.diagnoses[-1].out_of_date
+    if goes_on and growth.earlier is not None and (done.steps or done.refit is not None or late):
+        # What the model had known of its numbers may have held them back. Now these readings are its own, too.
+        own = {**done.model.measurements, **{m.name: m.fingerprint for m in measurements}}
+        grown = replace(done.model, measurements=own)
+        growth = _Growth(measurements, given, grown, (seed, alpha, draws), stage, step)
+        again = _improved(growth, grown, ask, ask_made, step) if late else growth.grown(grown, ask, ask_made)
+        done = _joined(done, again)
     return replace(done, events=tuple(growth.events))
+
+
+GOES_ON: tuple[Reason, ...] = ("no_gain", "nothing_missing")
+"""Reasons for which a search may end too early."""
+
+
+def _joined(one: Improved, other: Improved) -> Improved:
+    """An improvement and the one that followed it."""
+    if not other.steps and other.refit is None:
+        return one
+    refit = one.refit
+    if not one.steps and other.refit is not None:
+        refit = other.refit if refit is None else replace(other.refit, before=refit.before)
+    steps, diagnoses = (*one.steps, *other.steps), (*one.diagnoses[:-1], *other.diagnoses)
+    return replace(other, steps=steps, diagnoses=diagnoses, refit=refit)
 
 
 def _improved(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.doubts.record import unexplained
+from rtec.diagnosis.doubts.record import too_few, unexplained
 from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
@@ -312,7 +312,9 @@ class _Answer:
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Doubts about the record, and about the machine file where the finding raises them."""
         if not (findings and findings[0].accepted):
-            slow = unrecorded_heat(self.readings, self.s.refits.current) or self._heat_by_time() or self._drift()
+            slow = (
+                unrecorded_heat(self.readings, self.s.refits.current) or self._heat_by_time() or self._drift(findings)
+            )
             return (*self.s.doubts, *([slow] if slow is not None else []))
         first, out = self.s.refitted[0], list(self.s.doubts)
         asked = self._pitch(first)
@@ -333,13 +335,16 @@ class _Answer:
         slow = slow or self._heat_by_time()
         return (*out, *(d for d in (substitute, slow) if d is not None))
 
-    def _drift(self) -> Doubt | None:
+    def _drift(self, findings: Sequence[Finding]) -> Doubt | None:
         """Doubt where nothing is named, and a drift by many times the noise, or anything else, stays unexplained."""
         nothing = self.s.unknown is None and self.s.undecided is None and not any(d.fatal for d in self.s.doubts)
         judged = self.s.judged
         if not nothing or judged.refitted < REFIT * judged.residual:
             return None
-        return drift_by_far(judged, self.s.refits.current) or unexplained(judged)
+        slow, rest = drift_by_far(judged, self.s.refits.current), unexplained(judged)
+        if slow is None and rest is not None and findings and findings[0].heldout_drop > MOSTLY_NAMED:
+            return too_few(judged, findings[0].label, findings[0].size_um, findings[0].heldout_drop)
+        return slow or rest
 
     def _heat_by_time(self) -> Doubt | None:
         """Doubt that what has no name is heat: it depends on time, and no temperature changed."""
