@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from rtec.errors import ConfigError
 from rtec.machine.chain import Axis, Chain, Link, derive_chain
@@ -163,6 +163,13 @@ class _AxisTable(Strict):
     offset_mm: Vector = (0.0, 0.0, 0.0)
     compensate: bool = True
     dead_band_counts: Counts = 2
+
+    @field_validator("kind", "direction", mode="before")
+    @classmethod
+    def _linear(cls, value: object) -> object:
+        if value in ("A", "B", "C", "rotary"):
+            raise ValueError("rotary axes are not modelled (leave it out, and keep it at one angle while measuring)")
+        return value
 
 
 class _LinkTable(Strict):

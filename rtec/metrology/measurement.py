@@ -33,6 +33,8 @@ class Measurement(Shown):
         readings: by column name (`reading_um`, `reading_x_um`, …), (n,); NaN where there is none.
         sha256: hash of the file's content; empty where there was no file.
         notes: notes of the reader on the file, in words.
+        unread: numbers of the file's own columns that vary and that nothing reads, by name, (n,): the angle of a rotary
+            axis above all.
     """
 
     page_maker: ClassVar[str] = "rtec.report.overview:measurement_page"
@@ -46,6 +48,7 @@ class Measurement(Shown):
     readings: Mapping[str, Floats] = field(repr=False)
     sha256: str = ""
     notes: tuple[str, ...] = field(default=())
+    unread: Mapping[str, Floats] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.time_s)

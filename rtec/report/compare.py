@@ -11,6 +11,7 @@ from rtec.diagnosis.compare.bins import REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.compare.compare import SLOW, SURELY
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
 from rtec.diagnosis.compare.shape import AGAIN
+from rtec.diagnosis.doubts.not_read import unread_beside
 from rtec.diagnosis.words import named, sentence, spoken
 from rtec.estimation.outliers import left_out
 from rtec.estimation.readings import Readings, Series
@@ -88,7 +89,8 @@ def _lead(c: Comparison) -> str:
     others = len(c.items) - 1
     more = f" The other {'residual is' if others == 1 else f'{others} residuals are'} in the table." if others else ""
     asked = next((f" {_sentence(d.words)}" for d in c.doubts if d.blames_no_effect), "")
-    return _verdict(first, c) + asked + more + left_out(c.judged.given.wrong)
+    unread = unread_beside(c.judged.readings.measurements, c.doubts)
+    return _verdict(first, c) + asked + more + left_out(c.judged.given.wrong) + unread
 
 
 def _badness(i: Compared) -> tuple[bool, float]:

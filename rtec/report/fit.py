@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
+from rtec.diagnosis.doubts.not_read import unread_beside
 from rtec.diagnosis.words import spoken
 from rtec.estimation.outliers import left_out
 from rtec.report.figures import LINES, OFF, ON, Png, as_png, stacked
@@ -40,7 +41,8 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
         title=f"Model of {r.model.machine.name}",
         lead=f"{counted(len(r.model.effects), 'effect')}, {counted(len(r.coefficients), 'coefficient')}: the residual "
         f"is {held} {unit} on held-out readings and {inside} {unit} in sample "
-        f"(root mean square); the noise floor is {floor} {unit}.{left_out(r.outliers)}{first}",
+        f"(root mean square); the noise floor is {floor} {unit}.{left_out(r.outliers)}{first}"
+        f"{unread_beside(r.judged.readings.measurements)}",
         numbers=[
             (f"{held}\u00a0{unit}", "residual on held-out readings"),
             (f"{inside}\u00a0{unit}", "residual in sample"),

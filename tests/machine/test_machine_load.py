@@ -99,8 +99,17 @@ FAULTS: list[tuple[Callable[[Table], object], str]] = [
         put("link", "tool", "offset_mm", [0.0, float("inf"), 0.0]),
         "[link.tool] offset_mm[1]: Input should be a finite number, found inf",
     ),
-    (put("axis", "X", "direction", "A"), "[axis.X] direction: Input should be 'X', 'Y' or 'Z', found 'A'"),
-    (put("axis", "X", "kind", "rotary"), "[axis.X] kind: Input should be 'linear', found 'rotary'"),
+    (put("axis", "X", "direction", "x"), "[axis.X] direction: Input should be 'X', 'Y' or 'Z', found 'x'"),
+    (
+        put("axis", "C", {"direction": "C", "travel_mm": [0.0, 360.0], "counts_per_mm": 1000}),
+        "[axis.C] direction: rotary axes are not modelled (leave it out, and keep it at one angle while measuring), "
+        "found 'C'",
+    ),
+    (
+        put("axis", "X", "kind", "rotary"),
+        "[axis.X] kind: rotary axes are not modelled (leave it out, and keep it at one angle while measuring), "
+        "found 'rotary'",
+    ),
     (put("machine", "tool_chain", ["Z", "X", "tool", "X"]), "[machine] 'X' is twice in the chains"),
     (put("machine", "work_chain", ["spindle", "tool"]), "[machine] 'tool' is twice in the chains"),
     (put("axis", "Q", AXIS_Q), "[axis.Q] is in neither tool_chain nor work_chain; allowed: X, Z, spindle, tool"),

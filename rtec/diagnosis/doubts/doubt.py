@@ -7,7 +7,7 @@ Kind = Literal[
     "wrong_scale", "wrong_gain", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction",
     "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
-    "unexplained", "two_levels", "few_targets", "too_few",
+    "unexplained", "two_levels", "few_targets", "too_few", "not_read",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -26,6 +26,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
         "two_levels",
         "between_files",
         "dead_sensor",
+        "not_read",
     }
 )
 """Doubts beside which no effect of the machine is named."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import ALONE, Doubt
 from rtec.diagnosis.doubts.edited import BETTER, edited_record, moves
+from rtec.diagnosis.doubts.not_read import turned_with
 from rtec.effects import State
 from rtec.estimation import floor
 from rtec.estimation.contradiction import contradiction
@@ -50,9 +51,11 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and so is the prediction
     one_factor = edited is not None and edited.kind == "wrong_gain"  # explains why files differ, too
-    if not found and not one_factor and (odd := contradiction(judged)) is not None:
+    turned = [] if found else turned_with(judged)
+    if not found and not turned and not one_factor and (odd := contradiction(judged)) is not None:
         step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}.{'' if odd.turned else f' {ALONE}'}"
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
+    found += turned
     found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
         found.append(edited.doubt(judged.residual, ERROR_UNITS[judged.unit]))

@@ -218,6 +218,7 @@ def thinned(source: Source, most: int) -> Source:
         time_s=m.time_s[rows],
         channels={name: values[rows] for name, values in {**m.channels, **moving}.items()},
         readings={name: values[rows] for name, values in m.readings.items()},
+        unread={name: values[rows] for name, values in m.unread.items()},
     )
     weight = source.weight.reshape(n, -1)[rows].ravel()
     return Source(few, source.blocks.at(rows), weight)

@@ -28,7 +28,7 @@ def check_columns(
     """Sort the columns of a file.
 
     Returns:
-        Names to read, in the order of the file, and notes on columns that are not read.
+        Names to read, in the order of the file, and names that are not read.
     """
     allowed = {"run", "time_s", *instrument.columns(), *machine.columns}
     wished = set(ignored)
@@ -47,7 +47,7 @@ def check_columns(
     for name in sorted(wished - set(names)):
         faults.whole(f"ignore_columns names {name!r}, which is no column of the file{nearest(name, names)}")
     _missing(used, names, machine, instrument, faults)
-    return used, [f"columns not read: {', '.join(map(repr, unread))}"] if unread else []
+    return used, unread
 
 
 def _missing(

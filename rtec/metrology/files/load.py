@@ -24,11 +24,13 @@ from rtec.machine import Axis, Machine
 from rtec.metrology.files.checks import CheckedRows, check_order, remarks
 from rtec.metrology.files.columns import check_columns, on_circle, still_right
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
+from rtec.metrology.files.table import Raw, Text, header_of, look_over, parquet_names, read_csv, read_own, read_parquet
 from rtec.metrology.files.toml import TABLES, Leniency, find_files, read_measurement_toml
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.squareness import SquarenessProbe
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.unread import is_rotary, varies
 from rtec.tomlfile import nearest
 
 Column = NDArray[np.float64] | NDArray[np.int64]
@@ -55,7 +57,7 @@ def save_measurement(measurement: Measurement, path: Path) -> Path:
         if channel not in of_channel:
             raise MeasurementError(f"{path}: channel {channel!r} has no column{nearest(channel, of_channel)}")
         columns[of_channel[channel]] = values
-    columns |= measurement.readings
+    columns |= {**measurement.unread, **measurement.readings}
     instrument = measurement.instrument
     head = {
         "instrument": instrument.name,
@@ -298,6 +300,49 @@ def approached(machine: Machine, channels: Mapping[str, Floats], run: Ints, read
     return {} if found is None else {axis.direction_channel: found}
 
 
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
+def on_arms(
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, readings: Mapping[str, Floats]
+) -> dict[str, Floats]:
+    """Directions of the two axes on the arms of a square, by direction channel.
+
+    An axis goes to the place of the other arm between the arms: that motion tells the arm, not the direction of a
+    reading. On its own arm the axis has the direction of its positions there, from the first one on; while the other
+    axis travels it keeps the last one.
+
+    Returns:
+        -1 or +1 for each reading, (n,), of each axis without a direction and a velocity of its own; empty for any other
+        instrument, and where the readings do not show the arms.
+    """
+    if not isinstance(instrument, SquarenessProbe) or instrument.component is not None:
+        return {}
+    read = np.stack([np.isfinite(readings[c]) for c in instrument.columns()])
+    out = {}
+    for axis in (machine.axis(name) for name in instrument.axes()):
+        known = {axis.direction_channel, axis.velocity_channel} & channels.keys()
+        mine = (read == np.array(instrument.reads_while(axis.name))[:, None]).all(axis=0)
+        if known or axis.channel not in channels or not mine.any():
+            continue
+        way = np.zeros(len(run))
+        other_arm, other_run = mine[1:] != mine[:-1], run[1:] != run[:-1]
+        edges = (np.flatnonzero(other_arm | other_run) + 1).tolist()
+        for a, b in itertools.pairwise([0, *edges, len(run)]):
+            if mine[a]:
+                way[a:b] = _filled(
+                    direction_track(np.ascontiguousarray(channels[axis.channel][a:b]), axis.dead_band_mm)
+                )
+        if way.any():
+            out[axis.direction_channel] = _filled(way)
+    return out
+
+
+def _filled(way: Floats) -> Floats:
+    """Directions, where a zero is the direction before it; the zeros before the first motion are the first one."""
+    last = np.maximum.accumulate(np.where(way != 0.0, np.arange(len(way)), -1))
+    known = np.flatnonzero(way)
+    return np.where(last >= 0, way[last], way[known[0]] if len(known) else 0.0)
+
+
 def _approach(axis: Axis, position_mm: Floats, read: Bools) -> Floats | None:
     """Directions by all rows, by those without the pauses of a log, or by the read ones; a lost reading is a stop."""
     gone = np.concatenate([[False], ~read, [False]])
@@ -373,7 +418,7 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     head = file.measurement
     instrument = make_instrument(head.instrument, file.setup, head.axis, head.component, machine, str(toml))
     accepted = file.table.with_(leniency)
-    raw, notes, digest = _read(table, toml, instrument, machine, accepted)
+    raw, own, notes, digest = _read(table, toml, instrument, machine, accepted)
     digest.update(toml.read_bytes())
     columns = machine.columns
     run = raw.columns["run"].astype(np.int64)
@@ -390,6 +435,9 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
         notes += [f"no column {written[c]}: the feed in the direction of motion, as moves_at_feed says" for c in found]
         channels |= found
     channels |= by_velocity(machine, channels, run, read)
+    arms = on_arms(instrument, machine, channels, run, raw.columns)
+    notes += [f"no column {written[c]}: taken from its own arm of the square" for c in arms]
+    channels |= arms
     sides = approached(machine, channels, run, read)
     notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]
     return Measurement(
@@ -402,13 +450,14 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
         readings={c: raw.columns[c] for c in instrument.columns()},
         sha256=digest.hexdigest(),
         notes=tuple(dict.fromkeys([*head.notes, *still_right(instrument, notes)])),
+        unread=own,
     )
 
 
 def _read(
     table: Path, toml: Path, instrument: Instrument, machine: Machine, accepted: Leniency
-) -> tuple[Raw, list[str], "hashlib._Hash"]:
-    """Numbers, notes, and the running hash of the table."""
+) -> tuple[Raw, dict[str, Floats], list[str], "hashlib._Hash"]:
+    """Numbers, those that nothing reads and that vary, notes, and the running hash of the table."""
     is_text = table.suffix == ".csv"
     where = f"under [table] of {toml.name}"
     faults = Faults(str(table), "line" if is_text else "row")
@@ -417,6 +466,10 @@ def _read(
     used, unread = check_columns(names, machine, instrument, accepted.ignore_columns, faults)
     once = [name for name in used if names.count(name) == 1 or is_text]
     raw = read_csv(table, text, accepted, names, once, faults, where) if is_text else read_parquet(table, once, faults)
+    read = raw.columns.get("reading_um")
+    if isinstance(instrument, BallBar) and read is not None and (fault := instrument.length_fault(read)):
+        faults.whole(fault)
+        faults.raise_if_any()
     rows = CheckedRows(raw, instrument.columns(), machine, accepted, faults, where)
     kept = rows.checked()
     if not len(raw):
@@ -429,5 +482,17 @@ def _read(
         if len(kept) and name in kept.columns and np.isnan(kept.columns[name]).all():
             faults.whole(f"column {name!r} has no reading at all")
     faults.raise_if_any()
+    own = _own(table, text if is_text else None, accepted, unread, np.isin(raw.numbers, kept.numbers))
+    angle = kept.columns.get("angle_deg")  # of a circle, which only a ball bar has
+    if angle is not None and not isinstance(instrument, BallBar) and varies("angle_deg", angle):
+        own["angle_deg"] = angle
     notes = list(text.notes) if is_text else []
-    return kept, [*notes, *unread, *rows.notes, *remarks(kept, instrument.columns(), machine)], text.digest
+    notes += [f"columns not read: {', '.join(map(repr, unread))}"] if unread else []
+    return kept, own, [*notes, *rows.notes, *remarks(kept, instrument.columns(), machine)], text.digest
+
+
+def _own(table: Path, text: Text | None, accepted: Leniency, unread: list[str], kept: Bools) -> dict[str, Floats]:
+    """The user's own columns that vary, in the kept rows; of those that are ignored on purpose the angles alone."""
+    asked = [n for n in unread if n not in accepted.ignore_columns or is_rotary(n)]
+    found = read_own(table, text, accepted, asked) if asked else {}
+    return {n: v[kept] for n, v in found.items() if len(v) == len(kept) and varies(n, v[kept])}

@@ -26,6 +26,7 @@ from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.toml import Leniency
 
 NANS = ("nan", "NaN", "NAN", "-nan", "-NaN")
+NO_VALUE = frozenset({"", *NANS})
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 # `float` reads texts of these letters only where `NUMBER` allows them.
 PLAIN_ROW = re.compile(r"[0-9eE.+-]*", re.ASCII)
@@ -38,7 +39,7 @@ class Cells:
     def __init__(self, leniency: Leniency, faults: Faults, where: str) -> None:
         self.decimal = leniency.decimal
         self.delimiter = leniency.delimiter
-        self.empty = {"", *NANS, *(str(w) for w in leniency.missing_codes if isinstance(w, str))}
+        self.empty = {*NO_VALUE, *(str(w) for w in leniency.missing_codes if isinstance(w, str))}
         self.faults = faults
         self.where = where
 
@@ -380,6 +381,44 @@ def _exact(
     notes = (f"blank {places('line', blank)} not read",) if blank and numbers else ()
     columns = {name: np.array(v, dtype=np.float64) for name, v in values.items()}
     return Raw(columns, np.array(numbers, dtype=np.int64), "line", np.array(bad, dtype=np.bool_), notes)
+
+
+def read_own(path: Path, text: Text | None, leniency: Leniency, names: Sequence[str]) -> dict[str, Floats]:
+    """Columns that need not be numbers: those that are, NaN where a cell has none, (n,); blank lines are no rows.
+
+    Args:
+        path: a CSV file, or a Parquet file where there is no text.
+        text: as `look_over` gives it.
+        leniency: how its numbers are written.
+        names: of the columns.
+    """
+    if text is None:
+        import pyarrow as pa
+        from pyarrow import parquet, types
+
+        with parquet.ParquetFile(path) as file:
+            kinds = {n: file.schema_arrow.field(n).type for n in names}
+            numbers = [n for n, k in kinds.items() if types.is_integer(k) or types.is_floating(k)]
+            table = file.read(columns=numbers)
+        return {n: floats(table.column(n).cast(pa.float64(), safe=False)) for n in numbers}
+    out = {name: array("d") for name in names}
+    with path.open(encoding=text.encoding, newline=None) as file:
+        rows = csv.reader(file, delimiter=leniency.delimiter)
+        header = next(rows)
+        places_of = {name: header.index(name) for name in names}
+        for row in rows:
+            if not any(row):
+                continue
+            for name in list(out):
+                cell = row[places_of[name]] if len(row) > places_of[name] else ""
+                number = cell if leniency.decimal == "." else cell.replace(",", ".")
+                if NUMBER.fullmatch(number):
+                    out[name].append(float(number))
+                elif cell in NO_VALUE or cell in leniency.missing_codes:
+                    out[name].append(math.nan)
+                else:
+                    del out[name]
+    return {name: np.array(v, dtype=np.float64) for name, v in out.items()}
 
 
 def parquet_names(path: Path) -> list[str]:

@@ -25,9 +25,12 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
 from rtec.metrology.readers.base import ForeignTable
 from rtec.metrology.units import convert, unit_of_column
+from rtec.metrology.unread import not_read, varies
 from rtec.result import Kind, Result, frame
 from rtec.tomlfile import nearest
 
+ROTARY = re.compile(r"[abc]_deg|angle_deg")
+"""Angles of rotary axes, which nothing reads; one is that of a ball bar's circle, too."""
 PLACE = re.compile(r"[a-z][a-z0-9]*_mm")
 LEAST_TRAVEL_MM = 1.0
 DOUBTFUL, LIKE = 0.01, 0.1
@@ -115,7 +118,7 @@ def _part(path: Path, how: ImportMap) -> _Part:
         table = from_cycles(table, **how.cycles.model_dump(), source=str(path))
         notes.append(table.notes[-1])
     keep = _kept(table, how, str(path), notes)
-    _unused(table, how, notes)
+    unused = _unused(table, how, notes)
     columns: dict[str, Floats] = {}
     faults = []
     for name, column in how.column.items():
@@ -135,6 +138,11 @@ def _part(path: Path, how: ImportMap) -> _Part:
     run, remarks = runs(table, how.run, clock, columns, str(path))
     notes += remarks
     out: dict[str, Values] = {"run": run, "time_s": clock.time_s, **columns}
+    of_circle = {"angle_deg"} if how.measurement.instrument == "ball_bar" else set()
+    angles = {n: v for n, v in columns.items() if ROTARY.fullmatch(n) and n not in of_circle}
+    unread = {n: v[keep] for n, v in unused.items()} | angles
+    if said := not_read({n: v for n, v in unread.items() if varies(n, v)}):
+        notes.append(said)
     return _Part(path, Imported(out, reader, rows_in, len(table), tuple(notes)), clock.began)
 
 
@@ -343,13 +351,16 @@ def _spread(values: Floats) -> float:
     return float(2.0 * np.subtract(*np.percentile(known, (75.0, 25.0)))) if len(known) else 0.0
 
 
-def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> None:
+def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> dict[str, Floats]:
+    """The columns of numbers that are not used, (n,) each; and a note on all that are not used."""
     used = {how.time.column, how.time.date, how.run.column} | {
         n for c in how.column.values() for n in (c.from_, c.minus)
     }
     unused = [n for n in table.columns if n not in used]
     if unused:
         notes.append(f"columns of the file not used: {', '.join(unused[:20])}" + (" …" if len(unused) > 20 else ""))
+    numbers = [n for n in unused if table.columns[n].dtype != np.object_]
+    return {n: table.columns[n].astype(np.float64) for n in numbers}
 
 
 def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source: str) -> tuple[Floats, list[str]]:
@@ -383,7 +394,7 @@ def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source:
     done += {"sum": ", added up", "difference": ", each minus the one before"}.get(column.take or "", "")
     done += f" × {column.scale * column.sign:g}" if column.scale * column.sign != 1.0 else ""
     done += f", {unit} to {target}" if unit != target else ""
-    done += f" + {column.offset:g}" if column.offset else ""
+    done += f" {'+' if column.offset > 0.0 else '-'} {abs(column.offset):.10g}" if column.offset else ""
     return values + column.offset, [done, *notes]
 
 

@@ -16,7 +16,7 @@ from rtec.tomlfile import Strict, read_toml, validated
 
 FORMS = ("iso", "filetime", "excel", "unix")
 TARGET = re.compile(
-    r"[a-z][a-z0-9_]*_mm|dir_\w+|v\w+_mm_s|a\w+_mm_s2|\w+_degc|spindle_rpm|feed_mm_min|load_kg|angle_deg"
+    r"[a-z][a-z0-9_]*_mm|dir_\w+|v\w+_mm_s|a\w+_mm_s2|\w+_degc|spindle_rpm|feed_mm_min|load_kg|angle_deg|[abc]_deg"
     r"|reading(_[A-Za-z0-9]+)*_(um|urad)",
     re.ASCII,
 )
@@ -226,7 +226,7 @@ class ImportMap(Strict):
             if not TARGET.fullmatch(name):
                 raise ValueError(
                     f"{name!r} is no column of a measurement; these are x_mm, dir_x, vx_mm_s, ax_mm_s2, SENSOR_degc, "
-                    "spindle_rpm, feed_mm_min, load_kg, angle_deg, reading_um, reading_urad, reading_x_um"
+                    "spindle_rpm, feed_mm_min, load_kg, angle_deg, c_deg, reading_um, reading_urad, reading_x_um"
                 )
         for name in (n for n, c in column.items() if c.minus is not None and n.endswith("_degc")):
             raise ValueError(f"{name}: minus is for readings and positions; a difference of temperatures is none")

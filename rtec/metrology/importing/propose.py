@@ -23,8 +23,9 @@ from rtec.files import write_text
 from rtec.machine import Machine
 from rtec.metrology.importing.apply import chosen
 from rtec.metrology.importing.cycles import cycles_of, from_cycles
+from rtec.metrology.importing.diameters import halve_diameters
 from rtec.metrology.importing.map import Cycles, ImportMap
-from rtec.metrology.importing.roles import LEAVE, ColumnRoles
+from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles
 from rtec.metrology.importing.rows import from_events
 from rtec.metrology.importing.words import has
 from rtec.metrology.instruments.base import Instrument
@@ -295,11 +296,14 @@ def propose(
     roles = ColumnRoles(table, machine, preset, asker.ask, is_log=is_log, remarks=read.remarks)
     content |= roles.content()
     measurement = content["measurement"]
+    halve_diameters(roles, measurement, preset.get("column", {}), asker.ask)
     kind = INSTRUMENTS.get(measurement.get("instrument", ""))
     if kind is not None and kind.axis_use == "optional" and "axis" in answers and "axis" not in measurement:
         measurement["axis"] = answers["axis"]
         asker.keys.append("axis")
-    content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker)
+    content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker, roles.bar_mm)
+    if roles.bar_mm is not None:
+        guesses = (*guesses, *_less_the_bar(content["column"]["reading_um"], content["setup"], roles.bar_mm, str(path)))
     content["column"] = _of_probes(content["column"], content["setup"])
     content["column"] |= _constants(content["column"], measurement, machine, asker)
     letters = [n[8].upper() for n in content["column"] if re.fullmatch(r"reading_[xyz]_um", n)]
@@ -517,8 +521,13 @@ def _is_of_others(key: str, kind: type[Instrument]) -> bool:
     return (key == "axis" and kind.axis_use == "none") or key in setups
 
 
-def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _Answers) -> dict[str, Any]:
-    """`[setup]`: the required keys, and the instrument's offset unless a component is named."""
+def _setup(
+    measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _Answers, bar_mm: float | None
+) -> dict[str, Any]:
+    """`[setup]`: the required keys, and the instrument's offset unless a component is named.
+
+    The radius of a ball bar's circle is proposed from the length of the bar, unless the bar leans.
+    """
     instrument = measurement.get("instrument")
     if instrument not in INSTRUMENTS:
         return {}
@@ -533,12 +542,36 @@ def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _An
             continue
         choices = {str(c): c for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a)}
         default = str(list(info.default)) if offset and not needed else None
+        leans = "height_mm" in preset.get("setup", {}) or "setup.height_mm" in asker.answers
+        if name == "radius_mm" and bar_mm is not None and not leans:
+            default = f"{round(bar_mm)}"
         where = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
         text = where if offset and not needed else f"{name} of the {instrument}?"
         answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))
         if answer is not None:
             out[name] = choices[answer] if choices else _value(answer, name, asker.source)
     return out
+
+
+def _less_the_bar(column: dict[str, Any], setup: Mapping[str, Any], bar_mm: float, source: str) -> list[Guess]:
+    """Subtract a ball bar's nominal length from its measured one, once the set-up is known.
+
+    Raises:
+        MeasurementError: the lengths differ by far more than a bar of that nominal length can.
+    """
+    radius, height = setup.get("radius_mm"), setup.get("height_mm", 0.0)
+    if not (isinstance(radius, int | float) and isinstance(height, int | float)):
+        return []
+    nominal_mm = float(np.hypot(radius, height))
+    if abs(bar_mm - nominal_mm) > BAR_VARIES * nominal_mm:
+        said = f"{source}: {column['from']!r} is the length of the bar, {bar_mm:.6g} mm"
+        raise MeasurementError(f"{said}, but radius_mm and height_mm make it {nominal_mm:.6g} mm; correct the answers")
+    column["offset"] = -1000.0 * nominal_mm
+    return [
+        Guess(
+            "reading", column["from"], f"the length of the bar: its nominal length, {nominal_mm:.10g} mm, is taken off"
+        )
+    ]
 
 
 CONSTANT = re.compile(r"[a-z][a-z0-9]*_mm|\w+_degc")

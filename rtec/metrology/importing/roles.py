@@ -31,6 +31,7 @@ from rtec.metrology.readers.base import Floats, ForeignTable, number_or_none
 from rtec.metrology.readers.delimited import unit_named
 from rtec.metrology.readers.layout import Guess
 from rtec.metrology.units import UNITS, convert
+from rtec.metrology.unread import is_rotary
 from rtec.wording import counted
 
 DATES = (
@@ -47,6 +48,10 @@ SMALL = 0.1
 """Deviations are below this share of the travel; an actual position differs from its nominal one by less."""
 BY_LETTER = ("tool_tip", "grid_encoder", "squareness")
 """Instruments with a reading in each of several directions."""
+BAR_MM, BAR_VARIES = 10.0, 0.01
+"""A column is the length of a ball bar if it is above the first, and varies by less than the second share."""
+TURNED_DEG = 1.0
+"""An angle that varies by more is that of a rotary axis: errors of machines are far smaller."""
 CLEAR = 0.9
 """Share of the motions that must agree with the meaning of a number."""
 MEANS = {1: "actual minus nominal", -1: "nominal minus actual, turned round"}
@@ -94,6 +99,7 @@ class ColumnRoles:
         units: units of the columns of the file, as far as known.
         guesses: further conclusions.
         settled: questions that the file answers itself, with the answer.
+        bar_mm: median of the reading where it is the length of a ball bar, else None.
     """
 
     def __init__(
@@ -112,6 +118,7 @@ class ColumnRoles:
         self.units = {n: u for n in table.columns if (u := table.units.get(n) or bare_unit(n))}
         self.guesses: list[Guess] = []
         self.settled = {f"unit of {n}": u for n, u in self.units.items()}
+        self.bar_mm: float | None = None
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             if "from" in column:
@@ -323,9 +330,13 @@ class ColumnRoles:
         """`[measurement]`, with the columns of positions and readings."""
         if head.get("instrument") == "ball_bar":
             self._angle()
+        else:
+            self._rotary()
         free = [n for n in self._free() if len(self._finite(n)) and not self._is_direction(n)]
         readings = [n for n in self.columns if n.startswith("reading")]
         deviations = [n for n in free if self._is_reading(n)]
+        if head.get("instrument") == "ball_bar" and not deviations:
+            deviations = self._bars(free)
         rest = [n for n in free if n not in deviations]
         actual = [n for n in rest if has(n, "actual")]
         nominal = [n for n in rest if n not in actual and self._is_position(n)]
@@ -350,6 +361,42 @@ class ColumnRoles:
                 answer = self.ask(f"unit of {name}", f"Unit of the angle {name!r}?", (), "deg", "deg, rad, mrad")
                 keys = self._in_unit(answer, name, "angle")
             self._take(name, "angle_deg", "the angle on the circle", **keys)
+
+    def _rotary(self) -> None:
+        """The angles of rotary axes, which nothing reads; `diagnose` asks whether the readings depend on them."""
+        for name in self._free():
+            unit, letters = self.units.get(name, ""), [w for w in words_of(name) if w in ("a", "b", "c")]
+            target = f"{letters[0] if len(letters) == 1 else 'angle'}_deg"
+            if unit not in ("deg", "rad") or target in self.columns or not is_rotary(name):
+                continue
+            values = self._finite(name)
+            if len(values) and float(np.ptp(convert(values, unit, "deg"))) > TURNED_DEG:
+                self._take(name, target, "the angle of a rotary axis, which rtec does not read")
+
+    def _bars(self, free: Sequence[str]) -> list[str]:
+        """The columns of a ball bar's length: by their names, else by their sizes."""
+        lengths = [n for n in free if UNITS[self.units.get(n, "mm")].kind == "length" and not axis_letter(n)]
+        return [n for n in lengths if has(n, "bar")] or [n for n in lengths if n in self.units and self._of_bar(n)]
+
+    def _of_bar(self, name: str) -> float | None:
+        """Median of a column that has the size of a ball bar's length throughout, in its unit; None where it has not.
+
+        Errors of machines are far smaller; a radius without a unit is in mm.
+        """
+        values = self._finite(name)
+        median = float(np.median(values))
+        low = BAR_MM / UNITS[self.units.get(name, "mm")].factor
+        return median if median > low and 0.0 < _spread(values) < BAR_VARIES * median else None
+
+    def _bar(self, name: str) -> bool:
+        """Take the length of a ball bar as the reading, without its offset; whether the column is a length."""
+        if (median := self._of_bar(name)) is None:
+            return False
+        keys = self._length(name, "um" if median > BAR_MM / UNITS["um"].factor else "mm", "length")
+        self.settled["sign"] = "+1"
+        self.bar_mm = median * keys.get("scale", 1.0) * UNITS[self.units.get(name) or keys["unit"]].factor
+        self._take(name, "reading_um", "the length of the bar, less its nominal length", **keys)
+        return True
 
     def _is_reading(self, name: str) -> bool:
         unit = self.units.get(name, "")
@@ -432,11 +479,11 @@ class ColumnRoles:
             out[name] = letter
         return out
 
-    def _length(self, name: str, usual: str | None = "mm") -> dict[str, Any]:
-        """`unit` of a position where the file lacks it, and `scale` where the numbers are counts."""
+    def _length(self, name: str, usual: str | None = "mm", what: str = "position") -> dict[str, Any]:
+        """`unit` of a position or another length where the file lacks it, and `scale` where the numbers are counts."""
         if self.units.get(name):
             return {}
-        answer = self.ask(f"unit of {name}", f"Unit of the position {name!r}?", (), usual, LENGTH_HINT)
+        answer = self.ask(f"unit of {name}", f"Unit of the {what} {name!r}?", (), usual, LENGTH_HINT)
         return self._in_unit(answer, name, "length")
 
     def _in_unit(self, answer: str | None, name: str, *kinds: str) -> dict[str, Any]:
@@ -475,6 +522,8 @@ class ColumnRoles:
                 if picked is None:
                     return
                 name = picked
+            if head.get("instrument") == "ball_bar" and self._bar(name):
+                return
             if len(deviations) > 1 or not axis_letter(name) or not self._several([name], head):
                 self._deviation(name, actual, nominal)
             return

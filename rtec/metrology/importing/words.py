@@ -117,6 +117,7 @@ WORDS: Final[dict[str, frozenset[str]]] = {
             "probe",
         }
     ),
+    "bar": frozenset({"radius", "r", "length", "länge", "laenge", "rayon", "longueur", "radio", "raggio"}),
     "angle": frozenset({"angle", "winkel", "ang", "theta", "phi"}),
     "temperature": frozenset({"temp", "temperatur", "temperature", "degc", "celsius", "thermocouple", "pt100"}),
     "spindle": frozenset({"rpm", "spindle_rpm", "drehzahl", "spindeldrehzahl", "speed"}),
@@ -155,12 +156,15 @@ LETTERS: Final = {"a": 1, "m": 1, "i": 1, "t": -1, "n": -1, "s": -1}
 """Short for actual, measured, Ist; target, nominal, Soll."""
 # Letters with other common meanings: units only in brackets.
 NOT_BARE: Final = frozenset({"f", "d", "t", "g", "1", "'", '"', "in", "h"})
+DIAMETER: Final = re.compile(r"[⌀∅]|(?<![A-Za-zÀ-ÿ]{2})[Øø](?=[XYZUVWxyzuvw]?(?![A-Za-zÀ-ÿ]))")
+DIAMETERS: Final = re.compile(r"dia(m(et[a-zè]*)?)?|di[áà]met\w*|durchm\w*")
+"""The sign of a diameter, alone or beside the letter of an axis; and words for one."""
 
 
 def words_of(name: str) -> list[str]:
     """The words of a name in lower case: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll."""
     bare = re.sub(r"([\[(][^\])]*[\])]|\sin\s+\S+)\s*$", "", name)
-    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
+    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", DIAMETER.sub(" ", bare))
     return [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
 
 
@@ -174,6 +178,12 @@ def has(name: str, role: str) -> bool:
     """Whether the name has a word for this role; a single letter means time only if it is alone, unlike `t_nut`."""
     words = words_of(name)
     return any(w in WORDS[role] and (len(w) > 1 or len(words) == 1) for w in words)
+
+
+def in_diameter(name: str) -> bool:
+    """Whether a name has the sign of a diameter, or a word for one: `X Ø [mm]`, `Abw. Durchm.`, `X dia`."""
+    words = re.split(r"[^A-Za-zÀ-ÿ]+", re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name))
+    return DIAMETER.search(name) is not None or any(DIAMETERS.fullmatch(w.lower()) for w in words)
 
 
 def is_nominal(name: str) -> bool:

@@ -43,6 +43,8 @@ COVERED_DEG = 1.0
 
 
 TURN_DEG = 360.0
+OF_LENGTH = 0.1
+"""A reading above this share of the radius is no deviation."""
 
 
 class BallBarSetup(InstrumentSetup):
@@ -117,6 +119,18 @@ class BallBar(Instrument):
     def columns(self) -> tuple[str, ...]:
         """One reading."""
         return ("reading_um",)
+
+    def length_fault(self, reading_um: Floats) -> str:
+        """Why readings are no deviations but lengths of the bar, with what to do; empty where they may be."""
+        known = np.abs(reading_um[np.isfinite(reading_um)])
+        usual_mm = 1e-3 * float(np.median(known)) if len(known) else 0.0
+        if usual_mm <= OF_LENGTH * self.setup.radius_mm:
+            return ""
+        return (
+            f"reading_um is about {usual_mm:.6g} mm with radius_mm = {self.setup.radius_mm:g}: that is no deviation of "
+            "the bar's length; import the file of the instrument with `rtec import`, which takes the nominal length "
+            f"off, or subtract {1e3 * self.setup.length_mm:.10g} from the column"
+        )
 
     def on_arc_deg(self, angle_deg: Floats) -> Floats:
         """Angles on the circle, shifted by whole turns to within half a turn of the middle of the arc, (n,)."""

@@ -63,24 +63,24 @@ class SquarenessProbe(AffineInstrument):
         """One reading for each of the two directions, in the order of X Y Z; one angle where a component is read."""
         if self.component is not None:
             return ("reading_urad",)
-        return tuple(f"reading_{a.lower()}_um" for a in self._axes())
+        return tuple(f"reading_{a.lower()}_um" for a in self.axes())
 
     def reads_while(self, axis: str | None) -> tuple[bool, ...]:
         """The reading along one axis is taken while the other axis travels."""
         if self.component is not None:
             return (True,)
-        return tuple(axis is None or a != axis for a in self._axes())
+        return tuple(axis is None or a != axis for a in self.axes())
 
     def looks(self, machine: Machine) -> Floats:
         """The probe's point along each of the two axes."""
-        directions = [machine.axis(a).direction for a in self._axes()]
+        directions = [machine.axis(a).direction for a in self.axes()]
         return np.stack([point(machine, d, self.setup.probe_offset_mm) for d in directions])
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
         """Zero of each arm, rotation of the square, and its own angular error where it was turned over."""
         if self.component is not None:
             return zero(len(state), 1, "none", "urad")
-        machine, axes = state.machine, self._axes()
+        machine, axes = state.machine, self.axes()
         names = tuple(f"zero {a}" for a in axes)
         out = list(zero(len(state), 2, self.setup.zero, "um", names))
         lines = [np.eye(3)["XYZ".index(machine.axis(a).direction)] for a in axes]
@@ -119,5 +119,6 @@ class SquarenessProbe(AffineInstrument):
         """Both arms, or the component itself."""
         return self.looks(machine) if self.component is None else component_itself(machine, self.component)
 
-    def _axes(self) -> tuple[str, ...]:
+    def axes(self) -> tuple[str, ...]:
+        """Names of the two axes, in order."""
         return tuple(sorted((self.axis or "", self.setup.reference_axis or "")))

@@ -1,0 +1,63 @@
+"""Columns of a file that nothing reads and that vary: above all the angle of a rotary axis, which no model has."""
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.wording import significant
+
+Floats = NDArray[np.float64]
+
+ROTARY: Final = re.compile(
+    r"(.*[\W_])?(deg|degrees?|rad|°)[\])]?"
+    r"|(pos_?)?[abc]([ _-]?(axis|achse|pos))?|(axis|achse)[ _-]?[abc]|(angle|winkel)([ _-].*)?"
+)
+WARM: Final = re.compile(r"t([ _-]|\d).*|.*temp.*")
+FEWEST = 3
+MOST_NAMED = 4
+
+
+def is_rotary(name: str) -> bool:
+    """Whether a column is an angle of a rotary axis by its name: `c_deg`, `C [°]`, `B axis`; not a temperature."""
+    tidy = name.strip().lower()
+    return ROTARY.fullmatch(tidy) is not None and WARM.fullmatch(tidy) is None
+
+
+def varies(name: str, values: Floats) -> bool:
+    """Whether a column varies, (n,). One that only rises or falls, as a time does, counts if it is an angle."""
+    known = values[np.isfinite(values)]
+    if len(known) < FEWEST or known.min() == known.max():
+        return False
+    up, down = known[1:] > known[:-1], known[1:] < known[:-1]
+    return is_rotary(name) or not (up.all() or down.all())
+
+
+def not_read(columns: Mapping[str, Floats]) -> str:
+    """A sentence on columns that vary and that nothing reads, with their ranges; empty where there are none."""
+    if not columns:
+        return ""
+    named = sorted(columns, key=lambda n: not is_rotary(n))
+    parts = [ranged(n, columns[n]) for n in named[:MOST_NAMED]]
+    parts += [f"{len(named) - MOST_NAMED} more"] if len(named) > MOST_NAMED else []
+    listed = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
+    vary, on = ("varies", "it") if len(named) == 1 else ("vary", "them")
+    why = "rtec has no rotary axes, so " if is_rotary(named[0]) else ""
+    return f"Not read: {listed}, which {vary}; {why}a dependence of the readings on {on} will look like something else."
+
+
+def ranged(name: str, values: Floats) -> str:
+    """A column and its range: `c_deg (0 to 350)`."""
+    low, high = (f"{float(significant(float(v), 4)):.10g}" for v in (np.nanmin(values), np.nanmax(values)))
+    return f"{name} ({low} to {high})"
+
+
+def joined(parts: Iterable[Mapping[str, Floats]]) -> dict[str, Floats]:
+    """The columns of several files, by name."""
+    out: dict[str, list[Floats]] = {}
+    for part in parts:
+        for name, values in part.items():
+            out.setdefault(name, []).append(values)
+    return {name: np.concatenate(values) for name, values in out.items()}

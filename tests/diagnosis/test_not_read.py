@@ -1,0 +1,120 @@
+"""Readings beside the angle of a rotary axis, which rtec does not read.
+
+Oracle: a ball on a turning table, worked out here with rotations; the table's axis is off by known amounts, or is not.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.metrology.files.load import save_measurement
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from rtec.model.file import save_model
+from tests.support.command import here
+from tests.support.diagnosis_examples import small_machine, write_machine
+
+Floats = NDArray[np.float64]
+MACHINE = small_machine()
+MODEL = Model(MACHINE, (), name="bare")
+CENTRE = np.array([100.0, 150.0])
+ROUNDS = 4
+
+
+def turn(angle_deg: Floats) -> Floats:
+    c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
+    return np.array([[c, -s], [s, c]]).transpose(2, 0, 1)
+
+
+def tip(xz_mm: Floats, error_um: Floats, angle_deg: Floats, seed: int) -> Measurement:
+    """Readings of the tool tip in X and Z, 0.3 µm of noise, run by run."""
+    n = len(xz_mm)
+    rng = np.random.default_rng(seed)
+    return Measurement(
+        name=f"tip-{seed}",
+        instrument=make_instrument("tool_tip", {"directions": ["X", "Z"]}, None, None, MACHINE, "test"),
+        machine=MACHINE,
+        run=np.repeat(np.arange(ROUNDS) + 1, n // ROUNDS),
+        time_s=np.arange(0.0, 6.0 * n, 6.0),
+        channels={"x": xz_mm[:, 0], "z": xz_mm[:, 1]},
+        readings={f"reading_{a}_um": error_um[:, i] + rng.normal(0.0, 0.3, n) for i, a in enumerate("xz")},
+        unread={"b_deg": angle_deg},
+    )
+
+
+def on_a_ball(
+    seed: int, pivot_um: tuple[float, float], lean_urad: float = 0.0, radii: tuple[float, ...] = (80.0,)
+) -> Measurement:
+    """The tool follows a ball on the table; the table's axis is off, or the table's scale of angle is."""
+    once = np.arange(0.0, 361.0, 15.0)
+    angle = np.concatenate([once if k % 2 == 0 else once[::-1] for k in range(ROUNDS)])
+    radius = np.repeat([radii[k % len(radii)] for k in range(ROUNDS)], len(once))
+    arm = radius[:, None] * np.array([1.0, 0.0])
+    at = CENTRE + np.einsum("nij,nj->ni", turn(angle), arm)
+    pivot = np.array(pivot_um)
+    moved = pivot - np.einsum("nij,j->ni", turn(angle), pivot)
+    moved += (
+        1e-3 * lean_urad * np.stack([np.zeros(len(angle)), (at - CENTRE)[:, 0] * np.cos(np.deg2rad(angle))], axis=1)
+    )
+    return tip(at, -moved, angle, seed)
+
+
+def swept(seed: int, angles: tuple[float, ...], scale_um_m: float) -> Measurement:
+    """Linear axes on their own, beside a table that is indexed; the scale of X is off."""
+    x = np.tile(np.linspace(10.0, 190.0, 25), ROUNDS)
+    z = 60.0 + 20.0 * np.random.default_rng(seed).permutation(len(x)) % 200.0
+    angle = np.array([angles[k % len(angles)] for k in range(len(x) // 5)]).repeat(5)
+    return tip(np.stack([x, z], axis=1), np.stack([1e-3 * scale_um_m * x, 0.0 * x], axis=1), angle, seed)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "made",
+    [
+        {"pivot_um": (8.0, -6.0)},
+        {"pivot_um": (0.0, 3.0), "radii": (80.0, 40.0)},
+        {"pivot_um": (0.0, 0.0), "lean_urad": 50.0},
+    ],
+)
+def test_no_effect_is_named_where_the_readings_follow_an_angle(seed: int, made: dict[str, tuple[float, float]]) -> None:
+    m = on_a_ball(seed, **made)  # type: ignore[arg-type]
+    found = diagnose(MODEL, [m])
+    assert found.verdict == "undecided"
+    assert [(d.kind, d.fatal) for d in found.doubts if d.fatal] == [("not_read", True)]
+    assert not any(f.accepted for f in found.findings)
+    assert "b_deg (0 to 360)" in found.sentence
+    assert "rtec has no rotary axes" in found.sentence
+    assert [d.kind for d in compare(MODEL, [m]).doubts if d.fatal] == ["not_read"]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_beside_an_angle_is_noise(seed: int) -> None:
+    assert diagnose(MODEL, [on_a_ball(seed, (0.0, 0.0))]).verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("angles", [(0.0, 90.0), (0.0, 45.0, 200.0, 310.0), (-30.0, 30.0)])
+def test_an_effect_of_a_linear_axis_is_named_beside_an_angle(seed: int, angles: tuple[float, ...]) -> None:
+    found = diagnose(MODEL, [swept(seed, angles, 60.0)])
+    assert not [d for d in found.doubts if d.kind == "not_read"]
+    assert found.findings[0].accepted
+    assert found.findings[0].label == "scale(EXX, X)"
+
+
+def test_every_command_says_once_what_is_not_read(tmp_path: Path) -> None:
+    machine = write_machine(tmp_path)
+    table = save_measurement(on_a_ball(5, (0.0, 0.0)), tmp_path / "tip.csv")
+    save_model(MODEL, model := tmp_path / "bare.toml")
+    for words in (
+        ["fit", machine, table, "--effects", "scale:EXX", "-o", tmp_path / "fitted.toml"],
+        ["compare", model, table],
+        ["diagnose", model, table],
+        ["improve", model, table, "--yes", "-o", tmp_path / "more.toml"],
+    ):
+        said = " ".join(here(*words).stdout.split())
+        assert said.count("Not read: b_deg (0 to 360), which varies; rtec has no rotary axes") == 1, words
