@@ -141,8 +141,9 @@ class Reversal(AxisEffect):
         return [direction * 0.5 * self.grows(machine, channels, theta)]
 
 
-ZONES, HALF_WIDTHS = 12, (0.05, 0.1, 0.2, 0.35)
-"""Number of places of a worn length that a search tries; and half of its length, as shares of the travel."""
+ZONES, HALF_WIDTHS, INSIDE, WIDEST = 12, (0.05, 0.1, 0.2), 0.1, 0.25
+"""Number of places of a worn length that a search tries, and half of its length, as shares of the travel. Least
+distance of its middle from the ends, and its largest half: wider, or at an end, it would be a curve along the axis."""
 
 
 class BacklashZone(Reversal):
@@ -172,12 +173,13 @@ class BacklashZone(Reversal):
         """`q0` and `w`: middle and half of the length; `p`: 2 for a bell, more for steeper ends."""
         low, high = self.the_axis(machine).travel_mm
         span = high - low
-        middles = tuple(low + span * (i + 0.5) / ZONES for i in range(ZONES))
+        first, last = low + INSIDE * span, high - INSIDE * span
+        middles = tuple(np.linspace(first, last, ZONES).tolist())
         halves = tuple(share * span for share in HALF_WIDTHS)
         return (
-            Parameter("q0", "mm", low + 0.5 * span, low, high, 0.5 * span, middles),
-            Parameter("w", "mm", halves[1], 0.8 * halves[0], 0.5 * span, halves[1], halves),
-            Parameter("p", "1", 3.0, 1.5, 8.0, 3.0, (3.0,)),
+            Parameter("q0", "mm", 0.5 * (low + high), first, last, 0.5 * span, middles),
+            Parameter("w", "mm", halves[1], 0.8 * halves[0], WIDEST * span, halves[1], halves),
+            Parameter("p", "1", 3.0, 2.0, 8.0, 3.0, (3.0,)),
         )
 
     def more_channels(self, machine: Machine) -> tuple[str, ...]:
