@@ -251,7 +251,6 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
     delays, of which one makes several times what both together do: they fit how fast it changes.
     """
     grown: dict[str, list[tuple[float, Drive]]] = {}
-    total, owner = fit.linear.total, fit.linear.owner
     for i, term in enumerate(fit.terms[fixed:], fixed):
         k = float(fit.values[np.flatnonzero(fit.linear.owner == i)[0]])
         if isinstance(term.effect, AxisExpansion) and abs(k) > EXPANDS and not named(term):
@@ -259,8 +258,8 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
     signs = [(frozenset(d for _, d in of), {k > 0.0 for k, _ in of}) for of in grown.values()]
 
     def square(*terms: int) -> float:
-        own = np.flatnonzero(np.isin(owner, terms))
-        return float(fit.values[own] @ total[np.ix_(own, own)] @ fit.values[own])
+        own = np.flatnonzero(np.isin(fit.linear.owner, terms))
+        return float(fit.values[own] @ fit.linear.total[np.ix_(own, own)] @ fit.values[own])
 
     late = [i for i, t in enumerate(fit.terms) if i >= fixed and "tau" in t.theta and not named(t)]
     pairs = [
