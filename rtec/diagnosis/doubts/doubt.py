@@ -7,7 +7,7 @@ Kind = Literal[
     "wrong_scale", "wrong_gain", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction",
     "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
-    "unexplained", "two_levels", "few_targets", "too_few", "not_read",
+    "unexplained", "two_levels", "few_targets", "too_few", "cycle", "not_read",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -35,6 +35,7 @@ DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {
     "end_targets",
     "few_targets",
     "too_few",
+    "cycle",
     "unexplained",
 }
 """Doubts beside which it is undetermined whether an effect is missing."""

@@ -15,6 +15,7 @@ from rtec.diagnosis.doubts.not_read import turned_with
 from rtec.effects import State
 from rtec.estimation import floor
 from rtec.estimation.contradiction import contradiction
+from rtec.estimation.cycles import cycles
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
@@ -136,6 +137,18 @@ def unexplained(judged: Judgement) -> Doubt | None:
     )
     step = "`rtec compare --report` draws it over each variable."
     return Doubt("unexplained", message, f"Diagnose each file alone. {step}" if several else step, fatal=True)
+
+
+def swings(judged: Judgement) -> Doubt | None:
+    """Doubt where readings swing with a period that no recorded channel has; None where none do."""
+    found = cycles(judged.readings, judged.left, np.array([f.value for f in judged.floors]))
+    if not found:
+        return None
+    step = (
+        "Find what switches so often (a chiller, coolant, hydraulics, air conditioning), and record its temperature or "
+        "state beside the readings."
+    )
+    return Doubt("cycle", found[0].message, step, fatal=True)
 
 
 def too_few(judged: Judgement, effect: str, size: float, drop: float) -> Doubt:

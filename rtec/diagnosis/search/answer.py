@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.doubts.record import too_few, unexplained
+from rtec.diagnosis.doubts.record import swings, too_few, unexplained
 from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
@@ -341,7 +341,8 @@ class _Answer:
         judged = self.s.judged
         if not nothing or judged.refitted < REFIT * judged.residual:
             return None
-        slow, rest = drift_by_far(judged, self.s.refits.current), unexplained(judged)
+        slow = swings(judged) or drift_by_far(judged, self.s.refits.current)
+        rest = unexplained(judged)
         if slow is None and rest is not None and findings and findings[0].heldout_drop > MOSTLY_NAMED:
             return too_few(judged, findings[0].label, findings[0].size_um, findings[0].heldout_drop)
         return slow or rest
