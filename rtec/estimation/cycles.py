@@ -26,7 +26,7 @@ VISIBLE = 2.0
 
 
 @dataclass(frozen=True)
-class Cycle:
+class OwnSwing:
     """A swing that no recorded channel has.
 
     Attributes:
@@ -42,7 +42,7 @@ class Cycle:
     message: str
 
 
-def cycles(readings: Readings, left: Floats, noise: Floats) -> list[Cycle]:
+def cycles(readings: Readings, left: Floats, noise: Floats) -> list[OwnSwing]:
     """Series that swing with a period that no recorded channel has, the largest swing first.
 
     Args:
@@ -64,7 +64,7 @@ def cycles(readings: Readings, left: Floats, noise: Floats) -> list[Cycle]:
         name = f"{readings.measurements[s.source].name} {s.column}"
         period = f"{significant(period_s / 60.0, 2)} min" if period_s > 100.0 else f"{significant(period_s, 2)} s"
         message = f"{name} swings by {size} with a period of {period}, as no recorded channel does."
-        out.append(Cycle(i, period_s, swing, message))
+        out.append(OwnSwing(i, period_s, swing, message))
     return sorted(out, key=lambda c: -c.swing)
 
 

@@ -18,7 +18,7 @@ from rtec.diagnosis import words
 from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Member
 from rtec.diagnosis.search.answer import _Answer
-from rtec.diagnosis.search.confounded import alike, bent_part
+from rtec.diagnosis.search.confounded import alike, bent_part, plausibility
 from rtec.diagnosis.search.diagnose import Search, diagnose, leaner_first
 from rtec.effects import effect_class
 from rtec.estimation.candidates import library
@@ -353,3 +353,11 @@ def test_two_waves_of_nearly_one_period_are_one() -> None:
     assert search.refits._same_wave(pole, {"period": 9.97}, screw)
     assert not search.refits._same_wave(pole, {"period": 5.0}, screw)
     assert not search.refits._same_wave(names.index(("backlash", "EXX")), {}, screw)
+
+
+def test_a_drive_lags_rather_than_leads() -> None:
+    """A lag of X and a lead of Y are one to a circle. Oracle: the sign of the lag, negative behind the command."""
+    machine = small_machine()
+    effect = effect_class("servo_lag", "test").model_validate({"effect": "servo_lag", "component": "EXX", "axis": "X"})
+    behind, ahead = (plausibility(effect, np.array([tau]), machine) for tau in (-0.35, 0.35))
+    assert behind == pytest.approx(ahead + np.log(10.0))

@@ -13,6 +13,7 @@ from rtec.diagnosis.result import Alike
 from rtec.diagnosis.words import labels
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
+from rtec.effects.motion import ServoLag
 from rtec.effects.registry import all_effects
 from rtec.estimation.readings import Readings
 from rtec.machine import Machine
@@ -37,6 +38,9 @@ INDIRECT = 0.4
 """Each step away from the direct component lowers the logarithm of the prior by this."""
 ELSEWHERE = math.log(10.0)
 """A sensor that is named after another axis lowers the logarithm of the prior by this."""
+AHEAD = math.log(10.0)
+"""A drive that runs ahead of its command lowers the logarithm of the prior by this: without excessive feed-forward it
+lags."""
 USUAL = math.log(10.0)
 """Factor by which coefficients scatter about the usual size."""
 
@@ -46,13 +50,14 @@ def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
 
     It orders what readings cannot separate. Of two names for one shape, the less likely is the one that would have to
     be a hundred times its usual size, or that reaches the readings less directly (an angle of another axis, times its
-    arm), or that follows a sensor whose name says that it is at another axis. It never exceeds a few units, so that
-    readings overrule it.
+    arm), or that follows a sensor whose name says that it is at another axis, or a drive ahead of its command. It never
+    exceeds a few units, so that readings overrule it.
     """
     usual = np.array([p.typical for p in effect.coefficients(machine)])
     ratio = float(np.max(np.abs(values) / usual, initial=1e-300))
     size = min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0)
-    return -size - INDIRECT * directness(effect, machine) - ELSEWHERE * elsewhere(effect, machine)
+    ahead = isinstance(effect, ServoLag) and effect.effect == "servo_lag" and values[0] > 0.0
+    return -size - INDIRECT * directness(effect, machine) - ELSEWHERE * elsewhere(effect, machine) - AHEAD * ahead
 
 
 def elsewhere(effect: Effect, machine: Machine) -> bool:
