@@ -56,7 +56,7 @@ def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
     usual = np.array([p.typical for p in effect.coefficients(machine)])
     ratio = float(np.max(np.abs(values) / usual, initial=1e-300))
     size = min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0)
-    ahead = isinstance(effect, ServoLag) and effect.effect == "servo_lag" and values[0] > 0.0
+    ahead = type(effect) is ServoLag and values[0] > 0.0
     return -size - INDIRECT * directness(effect, machine) - ELSEWHERE * elsewhere(effect, machine) - AHEAD * ahead
 
 
