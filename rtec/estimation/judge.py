@@ -144,13 +144,17 @@ class Judgement:
     @property
     def most_moved(self) -> ChangedNumber | None:
         """The number whose refit by ordinary least squares changes the prediction most; None where there is none."""
-        out, most, at = None, 0.0, 0
+        out, most, at, names = None, 0.0, 0, self.base.names
         for f in self.model.effects:
-            for p in f.effect.coefficients(self.readings.machine):
-                was, now = f.values[p.name], float(self._plain[1][at])
-                change = self.pooled(floor.cleaned(self.readings, self.base.columns[:, at] * (now - was)))
-                if change > most:
-                    out, most = ChangedNumber(f.label, p.name, p.unit, was, now, math.nan), change
+            units = {p.name: p.unit for p in f.effect.coefficients(self.readings.machine)}
+            for name in (*f.values, *f.theta):
+                if at == len(names) or names[at] != f"{f.label} {name}":
+                    continue  # the readings do not show it
+                if name in units:
+                    was, now = f.values[name], float(self._plain[1][at])
+                    change = self.pooled(floor.cleaned(self.readings, self.base.columns[:, at] * (now - was)))
+                    if change > most:
+                        out, most = ChangedNumber(f.label, name, units[name], was, now, math.nan), change
                 at += 1
         return out
 

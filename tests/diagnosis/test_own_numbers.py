@@ -24,6 +24,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.diagnosis import diagnosis_page
+from tests.support.diagnosis_examples import effects, laser
 from tests.support.machines import axis
 
 NOISE_UM, DRAUGHT_UM, REFERENCE_DEGC = 0.4, 0.9, 20.0
@@ -140,3 +141,14 @@ def test_what_so_few_readings_show_is_said_and_offered_on_trial() -> None:
     assert "backlash(EXX, X) explains 2." in d.sentence
     (command,) = diagnosis_page(replace(d, files=(Path("model.toml"), Path("now.csv"))), figures=False).next
     assert command.startswith("rtec add model.toml backlash --component EXX")
+
+
+def test_the_number_that_is_most_out_of_date_is_named_beside_delays() -> None:
+    """An expansion with a delay stands before it, which has a slope by that delay. Oracle: what was put in."""
+    late = "axis_expansion,component=EXX,axis=X,sensor=T_bed,lag=true,k=11,tau=900"
+    m = laser([late, "scale,component=EXX,axis=X,k=12", "backlash,component=EXX,axis=X,B=3"], 8)
+    known = effects(late, "scale,component=EXX,axis=X,k=12", "backlash,component=EXX,axis=X,B=1")
+    moved = Judgement(Model(m.machine, known), clean([m])).most_moved
+    assert moved is not None
+    assert (moved.effect, moved.name, moved.was) == ("backlash(EXX, X)", "B", 1.0)
+    assert moved.now == pytest.approx(3.0, abs=0.2)
