@@ -9,10 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError, ModelError
+from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
+FARTHEST, SURELY = 2.0, 10.0
+"""A non-linear parameter, such as a delay, is kept where a refit would change it by over this many times itself, and by
+over this many standard errors of the fit that determined it: the readings then show something else."""
 STEP = 1e-3
 """Relative step of a non-linear parameter for its derivative."""
 
@@ -22,7 +26,8 @@ class Base:
     """Columns and prediction of the current model at the readings.
 
     Attributes:
-        columns: derivative of the readings by each number, then set-up terms, (m, p); without zero columns.
+        columns: derivative of the readings by each number, then set-up terms, (m, p); without zero columns, and without
+            those of non-linear parameters that a refit would move out of reach of a derivative.
         predicted: prediction of the model, (m,).
         effects: columns and prediction of each effect: places in `columns`.
     """
@@ -41,16 +46,29 @@ def base_of(model: Model, readings: Readings) -> Base:
     parts: list[Floats] = [np.zeros((len(readings), 0))]
     names: list[str] = []
     predicted = np.zeros(len(readings))
+    farthest: list[float] = []
     for fitted in model.effects:
         columns, slopes, value = effect_columns(fitted, readings)
         predicted += value
         parts += [columns, slopes]
         names += [f"{fitted.label} {n}" for n in (*fitted.values, *fitted.theta)]
+        farthest += [np.inf] * columns.shape[1] + [_farthest(fitted, n) for n in fitted.theta]
     parts.append(readings.setup)
     whole = np.concatenate(parts, axis=1)
     names += readings.setup_names
+    farthest += [np.inf] * readings.setup.shape[1]
     seen = np.abs(whole).max(axis=0, initial=0.0) > 0.0
+    if np.isfinite(farthest).any():
+        left = readings.values - predicted
+        flat = without_nuisance(readings, np.column_stack([whole[:, seen], left]))
+        moved = np.zeros(len(farthest))
+        moved[seen] = solve(flat[:, :-1], flat[:, -1])
+        seen &= np.abs(moved) <= np.array(farthest)
     return Base(whole[:, seen], predicted, tuple(n for n, s in zip(names, seen, strict=True) if s))
+
+
+def _farthest(fitted: FittedEffect, name: str) -> float:
+    return max(FARTHEST * abs(fitted.theta[name]), SURELY * fitted.errors.get(name, np.inf))
 
 
 def effect_columns(fitted: FittedEffect, readings: Readings) -> tuple[Floats, Floats, Floats]:

@@ -79,7 +79,7 @@ def visible_components(measurements: Sequence[Measurement]) -> list[VisibleCompo
     first link of the work chain: constant errors of one link or another look the same.
     """
     machine = measurements[0].machine
-    between = _moved_between(measurements)
+    between = moved_between(measurements)
     moving = between | {a.name for a in machine.axes if any(moves(m, a) for m in measurements)}
     found: dict[str, None] = {}
     for m in measurements:
@@ -137,10 +137,12 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
     return out
 
 
-def _moved_between(measurements: Sequence[Measurement]) -> set[str]:
-    """Axes that are at different places in different files, such as a plate that was read at two of them."""
+def moved_between(measurements: Sequence[Measurement]) -> set[str]:
+    """Axes that only differ between files, such as of a plate that was read at two places of one."""
     machine, out = measurements[0].machine, set()
     for axis in machine.axes:
+        if any(moves(m, axis) for m in measurements):
+            continue
         at = [float(np.median(m.channels[axis.channel])) for m in measurements if axis.channel in m.channels]
         if at and max(at) - min(at) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0]):
             out.add(axis.name)
@@ -150,9 +152,13 @@ def _moved_between(measurements: Sequence[Measurement]) -> set[str]:
 def _through_arms(m: Measurement, machine: Machine, between: Collection[str] = ()) -> list[str]:
     there = longest_arms(m) > NO_ARM
     moving = {a.name for a in machine.axes if moves(m, a)}
-    links = {*moving, *between, _spindle(machine)}
+    links = {*moving, _spindle(machine)}
+    # Of an axis that only differs between files an angle shows by its arm; a shift is a zero of each file.
+    turning = [f"E{letter}{axis}" for axis in between for letter in "ABC"]
     names = [
-        c for c, ok in zip(machine.components, there, strict=True) if ok and (_axis_name(c, machine) or c[3:]) in links
+        c
+        for c, ok in zip(machine.components, there, strict=True)
+        if ok and ((_axis_name(c, machine) or c[3:]) in links or c in turning)
     ]
     # A fixed link before the axes: for shifts that only follow a temperature, the spindle is the likelier cause.
     return sorted(names, key=lambda c: (_axis_name(c, machine) is not None, machine.components.index(c)))

@@ -181,15 +181,16 @@ def improve(
         own = {**done.model.measurements, **{m.name: m.fingerprint for m in measurements}}
         grown = replace(done.model, measurements=own)
         growth = _Growth(measurements, given, grown, (seed, alpha, draws), stage, step)
+        growth.least_fall = CLEAR_FALL
         done = _joined(done, _once_more(growth, grown, done, ask, ask_made, step))
     return replace(done, events=tuple(growth.events))
 
 
 GOES_ON: tuple[Reason, ...] = ("no_gain", "nothing_missing")
 """Reasons for which a search may end too early."""
-SET_FREE = 0.5
+SET_FREE, CLEAR_FALL = 0.5, 0.1
 """Numbers are set free only where that leaves less than this share of the mean square on held-out runs: a drift, which
-free numbers follow, leaves more."""
+free numbers follow, leaves more. What is added beside free numbers lowers it by the second share at least."""
 
 
 def _once_more(
@@ -290,6 +291,7 @@ class _Growth:
     ) -> None:
         self.cancelling: tuple[str, ...] = ()
         self.events: list[RecordEvent] = []
+        self.least_fall = -math.inf
         self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
         self.best, self.shown = self._sizes(start)
         again = any(m.fingerprint in start.measurements.values() for m in measurements)
@@ -563,6 +565,7 @@ class _Growth:
         """Whether an addition is worth it: it predicts held-out runs better and cancels no effect of the model."""
         return (
             not added.undetermined
+            and added.after.held_out**2 <= (1.0 - self.least_fall) * added.before.held_out**2
             and gains(added.before, added.after, len(self.given.readings))
             and self._no_worse(added)
         )
