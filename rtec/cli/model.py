@@ -196,8 +196,9 @@ def improve(
     Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
 
     First it refits the model's own numbers if that lowers the error on held-out runs by 2 % or more. It asks before
-    each effect, unless --yes is given, and writes the model after each step. With --yes it adds the nearest effect to
-    what has no name, or its shape along the axes, if that removes most of it.
+    each effect, unless --yes is given, and writes the model after each step. Where it gains nothing more, it looks once
+    more, with the numbers as these readings have them. With --yes it adds the nearest effect to what has no name, or
+    its shape along the axes, if that removes most of it.
     """
     from rtec import api
     from rtec.cli.common import interruptible, kept, show, stages

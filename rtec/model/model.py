@@ -348,7 +348,7 @@ def check_fitted(fitted: FittedEffect, machine: Machine, where: str) -> None:
         missing = [n for n in names if n not in numbers]
         extra = [n for n in numbers if n not in names]
         if missing or extra:
-            fault = f"{kind} {missing[0]!r} is missing" if missing else f"unknown {kind} {extra[0]!r}"
+            fault = f"unknown {kind} {extra[0]!r}" if extra else f"{kind} {missing[0]!r} is missing"
             raise ModelError(f"{where}: {fault}; it has: {', '.join(names) or 'none'}")
         if not all(np.isfinite(v) for v in numbers.values()):
             raise ModelError(f"{where}: a {kind} is not a finite number")

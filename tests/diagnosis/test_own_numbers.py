@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from rtec.characterise import fitted_model
-from rtec.diagnosis.extend.improve import Improved, ProposedStep, improve
+from rtec.diagnosis.extend.add import add, asked_effect
+from rtec.diagnosis.extend.improve import Improved, ProposedStep, _Growth, improve
 from rtec.diagnosis.result import Finding
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
@@ -127,6 +128,39 @@ def test_improve_refits_what_a_diagnosis_says_it_refits() -> None:
     assert done.refit.before.held_out > 2.0 * done.refit.after.held_out
     third = clean([there_and_back("third", 6, 5.5)], REFERENCE_DEGC)
     assert Judgement(done.model, third).residual < 1.2 * DRAUGHT_UM
+
+
+def test_refitted_numbers_that_were_declined_are_not_offered_again() -> None:
+    """Oracle: counted. The second look would have proposed the same numbers, freely refitted."""
+    asked: list[object] = []
+
+    def decline(added: object) -> bool:
+        asked.append(added)
+        return False
+
+    known = fitted_model([there_and_back("before", 4, 1.0)], wanted=read_wanted("scale,backlash", MACHINE))
+    done = improve(
+        known,
+        [there_and_back("now", 5, 5.5)],
+        draws=50,
+        ask=lambda step: step.finding,
+        ask_made=decline,
+    )
+    assert len(asked) == 1
+    assert done.model.hash == known.hash
+
+
+@pytest.mark.parametrize(("share", "kept"), [(-np.inf, True), (0.1, True), (0.9, False)])
+def test_what_a_second_look_adds_lowers_the_error_clearly(share: float, kept: bool) -> None:
+    """An expansion that removes four fifths of the held-out mean square. Oracle: that share, by two calls of `add`."""
+    m = day("today", 2, 23.0, 24.0, "T_bed", rises=0.6)
+    start = fitted_model([m], wanted=read_wanted("scale,backlash", MACHINE))
+    new = asked_effect("axis_expansion", "EXX", {"sensor": "T_bed"}, start)
+    growth = _Growth([m], clean([m], REFERENCE_DEGC), start, (1, 0.05, 50), None, None, least_fall=share)
+    added, alone = growth._gaining(start, [new]), add(start, [new], [m])
+    fall = 1.0 - (alone.after.held_out / alone.before.held_out) ** 2
+    assert 0.1 < fall < 0.9
+    assert (added is not None) == kept
 
 
 def test_what_so_few_readings_show_is_said_and_offered_on_trial() -> None:

@@ -176,12 +176,11 @@ def improve(
     given = clean(measurements, model.reference_degc).without_ends()
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
     done = _improved(growth, model, ask, ask_made, step)
-    if done.reason in GOES_ON and growth.earlier is not None and not growth.events:
+    if done.reason in GOES_ON and growth.earlier is not None and not growth.events and not growth.declined:
         # What the model had known of its numbers may have held them back. Now these readings are its own, too.
         own = {**done.model.measurements, **{m.name: m.fingerprint for m in measurements}}
         grown = replace(done.model, measurements=own)
-        growth = _Growth(measurements, given, grown, (seed, alpha, draws), stage, step)
-        growth.least_fall = CLEAR_FALL
+        growth = _Growth(measurements, given, grown, (seed, alpha, draws), stage, step, least_fall=CLEAR_FALL)
         done = _joined(done, _once_more(growth, grown, done, ask, ask_made, step))
     return replace(done, events=tuple(growth.events))
 
@@ -257,6 +256,7 @@ def _improved(
     if ask_made is None and _changes_slowly(found, model.machine):
         return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
     if ask_made is not None and not ask_made(refit):
+        growth.declined = True
         return growth.grown(model, ask, ask_made)
     if step:
         step(refit)
@@ -278,6 +278,12 @@ class _Growth:
         given: their readings, wrong ones already rejected.
         start: the first model.
         chance: seed, alpha and draws of the diagnosis.
+        stage, step: as of `improve`.
+        least_fall: share of the mean square on held-out runs that an addition removes at least; by default `gains`
+            alone decides.
+
+    Attributes:
+        declined: whether the user declined refitted numbers.
     """
 
     def __init__(
@@ -288,10 +294,12 @@ class _Growth:
         chance: tuple[int, float, int],
         stage: Stage | None,
         step: Callable[[Added], None] | None,
+        least_fall: float = -math.inf,
     ) -> None:
         self.cancelling: tuple[str, ...] = ()
         self.events: list[RecordEvent] = []
-        self.least_fall = -math.inf
+        self.declined = False
+        self.least_fall = least_fall
         self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
         self.best, self.shown = self._sizes(start)
         again = any(m.fingerprint in start.measurements.values() for m in measurements)
