@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member
+from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member
 from rtec.effects.time_data import MissedCounts
 from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import minutes
@@ -132,6 +132,13 @@ def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float) -> 
     before, after = two_numbers(d.rms_residual, rms)
     text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {ERROR_UNITS[d.unit]}."
     d = replace(d, changed=tuple(changed), changed_rms=rms)
+    if d.verdict == "nothing_missing" and d.out_of_date and REFIT * rms < d.refit:
+        answer = (
+            f"No effect is missing; the noise floor is {number(d.noise_floor)} {ERROR_UNITS[d.unit]}{drifts(d)} "
+            "(`rtec improve` refits the numbers that are out of date)."
+        )
+        asked = of_files([b.message for b in d.doubts if b.kind == "other_machine"])
+        return replace(d, sentence=" ".join([text, answer, *asked]))
     order = (text, sentence(d.sentence)) if d.mostly_changed else (sentence(d.sentence), text)
     return replace(d, sentence=" ".join(order))
 
