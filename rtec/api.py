@@ -111,7 +111,11 @@ def load_measurement(path: PathLike, machine: MachineLike, leniency: "Leniency |
 
 
 def propose_import(
-    path: PathLike, machine: MachineLike | None = None, answers: Mapping[str, str] | None = None
+    path: PathLike,
+    machine: MachineLike | None = None,
+    answers: Mapping[str, str] | None = None,
+    *,
+    temperatures: PathLike | None = None,
 ) -> "ImportProposal":
     """Propose how to read another program's table: its columns, first values, guesses with reasons, questions.
 
@@ -119,13 +123,15 @@ def propose_import(
         path: the table.
         machine: machine of the measurement; its axes and sensors are matched with the columns.
         answers: answers to questions, by key; `ImportProposal.answered` adds more.
+        temperatures: log of temperatures in a file of its own, matched by date or time of day.
 
     Raises:
         MeasurementError: the file is no table, or an answer is not allowed.
     """
-    from rtec.metrology.importing import propose
+    from rtec.metrology.importing import beside, propose
 
-    return propose(Path(path), None if machine is None else _machine(machine), {}, answers)
+    preset = {} if temperatures is None else {"temperatures": {"file": beside(Path(temperatures), Path(path))}}
+    return propose(Path(path), None if machine is None else _machine(machine), preset, answers)
 
 
 def import_table(
