@@ -21,7 +21,7 @@ from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.cycles import from_cycles
 from rtec.metrology.importing.map import Column, ImportMap, RowRules, TemperatureLog
 from rtec.metrology.importing.rows import Bools, condition, from_events
-from rtec.metrology.importing.temperature_log import Log, matched
+from rtec.metrology.importing.temperature_log import LoggedTemperatures, matched
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
 from rtec.metrology.readers.base import ForeignTable
@@ -108,7 +108,7 @@ class _Part:
     began: datetime | None
 
 
-def _next_part(path: Path, first: Path, how: ImportMap, log: Log | None) -> _Part:
+def _next_part(path: Path, first: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
     try:
         return _part(path, how, log)
     except MeasurementError as e:
@@ -118,7 +118,7 @@ def _next_part(path: Path, first: Path, how: ImportMap, log: Log | None) -> _Par
         raise MeasurementError(f"{e}\n{way}") from e
 
 
-def _log(how: TemperatureLog, beside: Path) -> Log:
+def _log(how: TemperatureLog, beside: Path) -> LoggedTemperatures:
     """Read a log of temperatures; a relative path starts beside the imported file."""
     path = beside.parent / how.file
     _, tables = read_tables(path, how.source)
@@ -127,10 +127,10 @@ def _log(how: TemperatureLog, beside: Path) -> Log:
         table = from_events(table, how.events.channel, how.events.value, how.events.unit, str(path))
     keep = _kept(table, how.rows, str(path), [])
     columns = {n: _column(table, n, c, keep, str(path))[0][keep] for n, c in how.column.items()}
-    return Log(str(path), seconds(table.rows(keep), how.time, str(path)), columns)
+    return LoggedTemperatures(str(path), seconds(table.rows(keep), how.time, str(path)), columns)
 
 
-def _part(path: Path, how: ImportMap, log: Log | None) -> _Part:
+def _part(path: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
     reader, tables = read_tables(path, how.source)
     table = chosen(tables, how.source.table, str(path))
     notes = [f"read as {reader}" + ("" if how.source.reader else ", as it looks"), *table.notes]

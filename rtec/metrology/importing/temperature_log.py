@@ -19,7 +19,7 @@ log's usual steps."""
 
 
 @dataclass(frozen=True)
-class Log:
+class LoggedTemperatures:
     """A log of temperatures.
 
     Attributes:
@@ -38,7 +38,7 @@ def beside(log: Path, file: Path) -> str:
     return Path(os.path.relpath(log.resolve(), file.resolve().parent)).as_posix()
 
 
-def matched(clock: RowClock, source: str, log: Log) -> tuple[dict[str, Floats], list[str]]:
+def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict[str, Floats], list[str]]:
     """Temperatures at the times of a measurement, NaN where the log has none; and notes.
 
     Args:
@@ -71,7 +71,7 @@ def matched(clock: RowClock, source: str, log: Log) -> tuple[dict[str, Floats], 
     return out, [f"temperatures from {log.source}, matched {how}: {_span(log.clock)}", *notes]
 
 
-def _apart_s(clock: RowClock, source: str, log: Log) -> float:
+def _apart_s(clock: RowClock, source: str, log: LoggedTemperatures) -> float:
     """Time of the log at which the measurement begins. Without a date on both sides it is that of the covering day."""
     assert clock.of_day is not None  # noqa: S101 (both were looked at)
     assert log.clock.of_day is not None  # noqa: S101
