@@ -39,7 +39,7 @@ def test_every_word_of_an_option_is_on_the_page_whole(page: str) -> None:
 
 
 def test_the_brackets_of_a_usage_line_come_in_pairs(page: str) -> None:
-    usage = page.split("\n\n")[0]
+    usage = page.split("\n\n", maxsplit=1)[0]
     assert usage.count("[") == usage.count("]")
 
 

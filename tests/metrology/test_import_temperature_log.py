@@ -82,6 +82,7 @@ def test_the_map_has_the_log_and_imports_again(tmp_path: Path) -> None:
 
 def test_python_takes_the_log_as_well(tmp_path: Path) -> None:
     proposal = rtec.propose_import(laser(tmp_path), TURNING, {"axis": "X"}, temperatures=log(tmp_path))
+    assert str(proposal) == proposal.toml()
     done = rtec.import_table(proposal.path, proposal, tmp_path / "made")
     assert done.measurement is not None
     np.testing.assert_allclose(done.measurement.channels["T_x_nut"], expected(), atol=1e-3)

@@ -200,6 +200,9 @@ class ImportProposal:
         content = {k: v for k, v in self.content.items() if v != {}}
         return "\n".join([*(f"# {x}".rstrip() for x in lines), "", NUMBERS.sub(_one_line, tomli_w.dumps(content))])
 
+    def __str__(self) -> str:
+        return self.toml()
+
     def _lines(self) -> list[str]:
         more = "" if self.whole else " (the first; there are more)"
         out = [f"{self.path.name} read as {self.reader}: {self.rows} rows{more}, {len(self.columns)} columns"]
