@@ -737,7 +737,7 @@ def _machine(machine: MachineLike) -> Machine:
 
 def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path | None, Path | None]:
     """The model, its file and its machine's file; None for a file that is unknown."""
-    from rtec.diagnosis.machine_file import machine_file
+    from rtec.diagnosis.machine_file import load_with_machine, machine_file
     from rtec.model import load_model as load
 
     if isinstance(model, Model):
@@ -746,7 +746,7 @@ def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path |
     if isinstance(machine, Machine):
         return load(path, machine), path, None
     described = machine_file(path, None if machine is None else Path(machine))
-    return load(path, load_machine(described)), path, described
+    return load_with_machine(path, described), path, described
 
 
 def _of_machine(result: R, model: Path | None, machine: Path | None) -> R:

@@ -24,6 +24,7 @@ from rtec.estimation.gram.source import Source
 from rtec.estimation.gram.stream import Term
 from rtec.estimation.judge import Judgement, MeasurementMet
 from rtec.estimation.outliers import Clean
+from rtec.estimation.warmth import recorded_degc
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
 from rtec.model.model import ErrorCorrelation, number_name
@@ -170,6 +171,7 @@ def _with_history(judged: Judgement, fit: Estimate) -> Model:
     """The model with its errors in the history."""
     history: Mapping[str, Any] = {
         "change": "fit",
+        **recorded_degc(judged.readings.measurements),
         "readings": len(judged.readings),
         "numbers": len(fit.errors),
         "rms_inside": judged.residual,

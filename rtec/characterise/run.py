@@ -405,7 +405,7 @@ def _significant(
             f"significantly: {why}; name an effect with its component and arguments to fit it nonetheless: --effects "
             "mount_expansion:EXX:sensor=T_bed"
         )
-    way = "name effects with --effects to fit them nonetheless"
+    way = "the machine's file in place of a model is one without effects (rtec diagnose, rtec improve)"
     if first := _first_model(sources, candidates):
         way = f"for a first model, which rtec improve extends, add --effects {first}, fitted without a choice"
     more = f"; for a choice measure at least {FEW_BLOCKS} runs" if blocks < FEW_BLOCKS else ""

@@ -8,7 +8,6 @@ tests: with single blocks held out, and with the longer parts held out on which 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.choose import NEAR
 from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.normal import Normal
@@ -19,6 +18,8 @@ Ints = NDArray[np.int64]
 CHANCE = 0.05
 """Accepted false-positive rate of a term, over all candidates."""
 ROUNDING = 1e-12
+HELD_OUT = 0.15
+"""A term that is not significant stays where held-out hours lose this share without it."""
 
 
 PLAIN = ("scale", "backlash", "squareness")
@@ -53,13 +54,13 @@ def surety(fit: Estimate, candidates: int) -> Floats:
 
 
 def spared(fit: Estimate, columns: Ints) -> bool:
-    """Whether coefficients stay although not significant: without them the error on held-out hours rises by NEAR.
+    """Whether coefficients stay although not significant: without them the error on held-out hours rises.
 
     Such stretches of hours are few, so that the test above has little power, and they are long compared with fast
     drift. Held-out runs are not accepted for this: their neighbours have the same drift. Nor is an increase in one or
     two stretches only: with random signs of the increases, as large a sum must be rare.
     """
-    if not _mostly_in_stretches(fit, columns) or missed(fit, columns) < NEAR:
+    if not _mostly_in_stretches(fit, columns) or missed(fit, columns) < HELD_OUT:
         return False
     folds = np.unique([c.fold for c in fit.linear.cells], return_inverse=True)[1]
     more = np.bincount(folds, _without(fit, columns) - fit.cells[0])

@@ -57,7 +57,9 @@ def fit(
     show(result, as_json=as_json, full=full, written={"Model": out})
 
 
-ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.", show_default=False)]
+ModelFile = Annotated[
+    Path, typer.Argument(metavar="MODEL", help="Model file, or machine file: no effects.", show_default=False)
+]
 Files = Annotated[
     list[Path], typer.Argument(metavar="MEASUREMENT...", help="Measurements, any instruments.", show_default=False)
 ]

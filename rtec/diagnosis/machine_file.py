@@ -1,4 +1,4 @@
-"""Finds the machine file of a model where none is given."""
+"""Finds the machine file of a model where none is given. A machine file itself is the model without effects."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +10,8 @@ from rtec.tomlfile import read_kind, read_toml
 
 FOLDERS = (".", "..", "machines", "../machines", "configs/machines")
 MOST_BYTES = 1_000_000
+MACHINE = {"machine", "axis"}
+"""Tables that every machine file has, and no model file."""
 
 
 def load_with_machine(model: Path, machine: Path | None = None) -> Model:
@@ -22,7 +24,9 @@ def load_with_machine(model: Path, machine: Path | None = None) -> Model:
     Raises:
         ModelError: the model cannot be read, or no machine file belongs to it.
     """
-    return load_model(model, load_machine(machine_file(model, machine)))
+    described = machine_file(model, machine)
+    there = load_machine(described)
+    return Model(there, name=there.name) if described == model else load_model(model, there)
 
 
 def machine_file(model: Path, machine: Path | None = None) -> Path:
@@ -32,11 +36,15 @@ def machine_file(model: Path, machine: Path | None = None) -> Path:
         model: file.
         machine: taken where given; where None it is the one that the model names (`machine_file`), or is searched
             by its content beside the model, in `machines` beside it or one folder up, and in `configs/machines` of
-            the working directory.
+            the working directory. A machine file in place of the model is its own.
 
     Raises:
         ModelError: the model cannot be read, or no machine file belongs to it.
     """
+    if set(read_toml(model, ModelError)) >= MACHINE:
+        if machine is not None and load_machine(machine).hash != load_machine(model).hash:
+            raise ModelError(f"{model}: is a machine file, not a model, and of another machine than {machine}")
+        return model
     if machine is not None:
         return machine
     head = read_kind(model, "a model file", ModelError).get("model")
@@ -72,7 +80,7 @@ def _candidates(model: Path) -> Iterator[Path]:
     for folder in dict.fromkeys(p.resolve() for p in places):
         for file in sorted(folder.glob("*.toml")) if folder.is_dir() else []:
             try:
-                if file.stat().st_size < MOST_BYTES and {"machine", "axis"} <= set(read_toml(file)):
+                if file.stat().st_size < MOST_BYTES and set(read_toml(file)) >= MACHINE:
                     yield _shown(file)
             except (OSError, RtecError):
                 continue

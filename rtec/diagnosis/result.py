@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -353,7 +353,7 @@ class Diagnosis(Result):
             "noise_floor_um": self.noise_floor,
             "refit_um": self.refit if math.isfinite(self.refit) else None,
             "out_of_date": self.out_of_date,
-            "changed": [vars(c) for c in self.changed],
+            "changed": [asdict(c) for c in self.changed],
             "adequacy": self.adequacy,
             "candidates": [_finding(f) for f in self.findings],
             "unknown": _unknown(self.unknown),

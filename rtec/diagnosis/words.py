@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member
+from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member
 from rtec.effects.time_data import MissedCounts
 from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import minutes
@@ -125,13 +125,34 @@ def _moved(c: ChangedNumber) -> str:
     return f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}"
 
 
+def of_warmth(changed: Sequence[ChangedNumber]) -> str:
+    """That parts are warmer than in the fit, so that numbers only look changed; empty where none are."""
+    parts = [
+        f"{c.warmer.sensor} is {significant(abs(c.warmer.by_k), 2)} K {'warmer' if c.warmer.by_k > 0.0 else 'colder'} "
+        f"than in the fit: an expansion of {significant(c.warmer.growth, 2)} µm/m/K would look like the change of "
+        f"{c.effect}"
+        for c in changed
+        if c.warmer is not None
+    ]
+    return f" {'; '.join(parts)}. A measurement at one more temperature decides." if parts else ""
+
+
 def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float) -> Diagnosis:
     """The diagnosis with numbers of the model that have changed, and the residual with them, in its sentence."""
     if not changed:
         return d
     before, after = two_numbers(d.rms_residual, rms)
-    text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {ERROR_UNITS[d.unit]}."
+    unit = ERROR_UNITS[d.unit]
+    text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {unit}."
+    text += of_warmth(changed)
     d = replace(d, changed=tuple(changed), changed_rms=rms)
+    if d.verdict == "nothing_missing" and d.out_of_date and REFIT * rms < d.refit:
+        answer = (
+            f"No effect is missing; the noise floor is {number(d.noise_floor)} {ERROR_UNITS[d.unit]}{drifts(d)} "
+            "(`rtec improve` refits the numbers that are out of date)."
+        )
+        asked = of_files([b.message for b in d.doubts if b.kind == "other_machine"])
+        return replace(d, sentence=" ".join([text, answer, *asked]))
     order = (text, sentence(d.sentence)) if d.mostly_changed else (sentence(d.sentence), text)
     return replace(d, sentence=" ".join(order))
 

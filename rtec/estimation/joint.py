@@ -22,6 +22,7 @@ from rtec.estimation.noise import Whitener, find_noise, refine
 from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, telling, weights, widening
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
+from rtec.estimation.warmth import Warmer, warmer
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import SearchScale
 from rtec.model.model import ErrorCorrelation, names_of, number_name
@@ -159,6 +160,7 @@ class ChangedNumber:
         name, unit: of the number.
         was, now: earlier, and in these readings.
         error: standard error of `now`.
+        warmer: of a scale error: a sensor whose part is warmer now, so that its expansion would look the same.
     """
 
     effect: str
@@ -167,6 +169,7 @@ class ChangedNumber:
     was: float
     now: float
     error: float
+    warmer: Warmer | None = None
 
 
 def changed_numbers(
@@ -180,17 +183,18 @@ def changed_numbers(
         beside: effects that are fitted with it, their coefficients zero.
     """
     fit = joint_fit((*model.effects, *beside), readings, earlier=model)
-    return changed_between(model, fit), fit.effects[: len(model.effects)]
+    return changed_between(model, fit, readings), fit.effects[: len(model.effects)]
 
 
-def changed_between(model: Model, fit: Joint) -> tuple[ChangedNumber, ...]:
-    """Numbers of a model that a fit, whose first effects are the model's, found changed."""
+def changed_between(model: Model, fit: Joint, readings: Readings) -> tuple[ChangedNumber, ...]:
+    """Numbers of a model that a fit to readings, whose first effects are the model's, found changed."""
     out = []
     for i, (was, now) in enumerate(zip(model.effects, fit.effects, strict=False)):
         for p in was.effect.coefficients(model.machine) if i not in fit.settled else ():
             old, new, error = was.values[p.name], now.values[p.name], now.errors.get(p.name, 0.0)
             if abs(new - old) > FAR * math.hypot(was.errors.get(p.name, math.inf), error):
-                out.append(ChangedNumber(was.label, p.name, p.unit, old, new, error))
+                heat = warmer(model, readings, was.effect, new - old)
+                out.append(ChangedNumber(was.label, p.name, p.unit, old, new, error, heat))
     return tuple(out)
 
 

@@ -13,7 +13,7 @@ from rtec.diagnosis.extend.add import Added, not_determined
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import NEAREST, SHAPE, Improved
 from rtec.diagnosis.extend.record_event import words
-from rtec.diagnosis.words import drifts, of_changes, sentence, spoken
+from rtec.diagnosis.words import drifts, of_changes, of_warmth, sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
 from rtec.report.figures import OFF, ON, as_png, stacked
@@ -125,7 +125,7 @@ def _refit_words(refit: Added) -> str:
     """The error before and after a refit of the model's own numbers."""
     went = fell(refit.before, refit.after, ERROR_UNITS[refit.unit])
     why = of_changes(refit.changed) if refit.changed else "These readings refine the model's own numbers"
-    return f"{why}; refitted, the residual on held-out runs {went}. "
+    return f"{why}; refitted, the residual on held-out runs {went}.{of_warmth(refit.changed)} "
 
 
 def improved_page(r: Improved, figures: bool = True) -> Page:

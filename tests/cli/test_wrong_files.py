@@ -38,7 +38,7 @@ def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("fit laser.csv machine.toml -o m.toml", "laser.csv: is a table of readings; a TOML file is expected here"),
         ("fit model.toml laser.csv -o m.toml", "model.toml: is a model file; a machine file is expected here"),
         ("fit run.toml laser.csv -o m.toml", "run.toml: is a run file; a machine file is expected here"),
-        ("compare machine.toml laser.csv", "machine.toml: is a machine file; a model file is expected here"),
+        ("compare run.toml laser.csv", "run.toml: is a run file; a model file is expected here"),
         ("compare laser.toml model.toml", "laser.toml: is a measurement; a model file is expected here"),
         ("compare model.toml machine.toml", "machine.toml: is a machine file; a measurement is expected here"),
         ("plan machine.toml model.toml", "model.toml: is a model file; a measurement is expected here"),

@@ -40,6 +40,8 @@ def test_the_worn_nut_is_named_and_nothing_else(seed: int) -> None:
     assert one.now == pytest.approx(6.0, abs=0.3)
     assert d.sentence.startswith("Numbers of the model have changed since it was fitted: backlash(EXX, X) B from 2.0")
     assert d.facts()["changed"] == [vars(one)]
+    assert d.sentence.count(" B from ") == d.sentence.count("o effect is missing") == 1, d.sentence
+    assert "may have changed since" not in d.sentence
     done = improve(known(), [today(seed, WORN)], draws=50)
     assert done.model.effects[2].values["k"] == pytest.approx(6.0, abs=0.5)
     assert not done.steps

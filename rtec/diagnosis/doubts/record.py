@@ -96,12 +96,14 @@ def _disagree(judged: Judgement) -> list[Doubt]:
             continue
         usual = max(fitted, *(judged.floors[k].value for k in mine))
         left = [judged.left[readings.series[k].part][inside[readings.series[k].row]] for k in mine]
-        off = max(float(np.sqrt(np.mean((v - v.mean()) ** 2))) for v in left)
+        # Of a part of the file, the instrument's zero is not known as of the whole.
+        off = max(float(np.sqrt(np.mean((v if inside.all() else v - v.mean()) ** 2))) for v in left)
         if off < DISAGREES * usual:
             continue
         here, there = sizes(off, fitted)
+        where = "" if inside.all() else " in the range of its fit"
         message = (
-            f"The model leaves {here} {unit} of {m.name}, and left {there} {unit} of the readings that it was "
+            f"The model leaves {here} {unit} of {m.name}{where}, and left {there} {unit} of the readings that it was "
             "fitted to. Check whether it is of this machine."
         )
         step = (

@@ -309,7 +309,7 @@ def _add(
         undetermined=cancelling,
         better=better,
         doubts=tuple(d.words for d in wrong),
-        changed=changed_between(model, after) if earlier is model else (),
+        changed=changed_between(model, after, readings) if earlier is model else (),
         unmeasured=unmeasured_motions(after.effects, readings, len(model.effects)),
     )
 

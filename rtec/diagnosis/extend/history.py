@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from rtec.estimation.readings import Readings
+from rtec.estimation.warmth import recorded_degc
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
@@ -79,6 +80,7 @@ def entry_of(
         "unit": unit,
         "readings": readings,
         "measurements": [m.name for m in measurements],
+        **recorded_degc(measurements),
         "same_measurements": bool(known) and given == known,
         "rtec": __version__,
     }

@@ -1,0 +1,85 @@
+"""How warm a machine was when its model was fitted, and how warm it is now.
+
+Of a cold day and a warm one, a scale error that changed and a part that expands look the same.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtec.effects import Effect
+from rtec.effects.geometry import Scale
+from rtec.estimation.readings import Readings
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+
+WARMER_K = 1.0
+GROWS = 24.0
+"""Expansion of aluminium, µm/m/K, the most of a machine's parts."""
+
+
+@dataclass(frozen=True)
+class Warmer:
+    """A sensor whose part is warmer or colder than in the fit.
+
+    Attributes:
+        sensor: its name.
+        by_k: by how many kelvin, on average.
+        growth: expansion that would look like the change of the scale error, µm/m/K.
+    """
+
+    sensor: str
+    by_k: float
+    growth: float
+
+
+def recorded_degc(measurements: Iterable[Measurement]) -> dict[str, dict[str, list[float]]]:
+    """What an entry of a model's history keeps of how warm the machine was; empty where no temperature was recorded."""
+    return {"recorded_degc": found} if (found := _recorded(measurements)) else {}
+
+
+def _recorded(measurements: Iterable[Measurement]) -> dict[str, list[float]]:
+    """Lowest and highest temperature of each recorded sensor, °C."""
+    out: dict[str, list[float]] = {}
+    for m in measurements:
+        for name in m.machine.sensor_names:
+            degc = m.channels.get(name)
+            if degc is not None and np.isfinite(degc).any():
+                low, high = out.get(name, (np.inf, -np.inf))
+                out[name] = [min(low, float(np.nanmin(degc))), max(high, float(np.nanmax(degc)))]
+    return out
+
+
+def of_the_fit(model: Model) -> Mapping[str, tuple[float, float]]:
+    """Lowest and highest temperature of each sensor that was recorded for a model, °C."""
+    out: dict[str, tuple[float, float]] = {}
+    for entry in model.history:
+        for name, (low, high) in entry.get("recorded_degc", {}).items():
+            a, b = out.get(name, (low, high))
+            out[name] = (min(a, low), max(b, high))
+    return out
+
+
+def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> Warmer | None:
+    """The sensor whose expansion would look like a change of a scale error; None where there is none.
+
+    Args:
+        model: of an earlier day.
+        readings: of today.
+        effect: of the model.
+        change: of its number, µm/m.
+    """
+    known = any(f.effect.effect == "axis_expansion" and f.effect.component == effect.component for f in model.effects)
+    if not isinstance(effect, Scale) or known:
+        return None
+    now, found = _recorded(readings.measurements), []
+    for name, (low, high) in of_the_fit(model).items():
+        if name not in now or readings.machine.of_another_axis(name, effect.axis):
+            continue
+        least, most = now[name]
+        by_k = (least + most - low - high) / 2.0
+        if (least - high > WARMER_K or low - most > WARMER_K) and 0.0 < change / by_k <= GROWS:
+            own = any(readings.machine.of_another_axis(name, a.name) for a in readings.machine.axes)
+            found.append((own, abs(by_k), Warmer(name, by_k, change / by_k)))
+    return max(found, key=lambda f: f[:2])[2] if found else None

@@ -1,0 +1,51 @@
+"""A scale error that only looks changed because the day is warmer. Oracle: what was hidden."""
+
+import pytest
+
+from rtec.characterise import characterise
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.effects.effect_list import read_wanted
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from rtec.report.history import improved_page
+from tests.support.diagnosis_examples import laser, small_machine
+
+SCALE = "scale,component=EXX,axis=X,k=12"
+GROWTH = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=10"
+"""With that, 3 K make 30 µm/m."""
+
+
+def day(effects: list[str], seed: int, air_degc: float) -> Measurement:
+    thermal = {"air_degc": air_degc, "body": {"T_bed": {"on_degc": 0.0}}}
+    return laser(effects, seed, thermal=thermal, protocol="cold")
+
+
+def first() -> Model:
+    wanted = read_wanted("scale:EXX", small_machine())
+    return characterise([day([SCALE, GROWTH], 1, 20.0)], wanted=wanted).model
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_the_warmer_day_is_said_with_the_expansion_that_would_do_it(seed: int) -> None:
+    warm = day([SCALE, GROWTH], seed, 23.0)
+    (changed,) = diagnose(first(), [warm], draws=50, explain=True).changed
+    assert changed.warmer is not None
+    assert changed.warmer.sensor == "T_bed"
+    assert changed.warmer.by_k == pytest.approx(3.0, abs=0.3)
+    assert changed.warmer.growth == pytest.approx(10.0, abs=1.0)
+    done = improve(first(), [warm], draws=50)
+    assert "K warmer than in the fit: an expansion of " in improved_page(done, figures=False).lead
+    assert "recorded_degc" in done.model.history[-1]
+
+
+def test_a_scale_that_changed_at_the_same_temperature_is_no_warmth() -> None:
+    worn = day(["scale,component=EXX,axis=X,k=42"], 4, 20.0)
+    (changed,) = diagnose(first(), [worn], draws=50, explain=True).changed
+    assert changed.warmer is None
+
+
+def test_nothing_grows_so_much() -> None:
+    worn = day(["scale,component=EXX,axis=X,k=130"], 5, 23.0)
+    (changed,) = diagnose(first(), [worn], draws=50, explain=True).changed
+    assert changed.warmer is None
