@@ -51,9 +51,12 @@ def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict
     """
     for name, one in ((source, clock), (log.source, log.clock)):
         if one.of_day is None:
-            raise MeasurementError(f"{name}: no time of day, so that {log.source} cannot be matched to {source}")
+            way = (
+                f"one temperature for all rows, without the log: --answer {next(iter(log.columns), 'SENSOR_degc')}=20.5"
+            )
+            raise MeasurementError(f"{name}: no time of day to match {log.source} to {source} by; {way}")
         if len(one.restarts):
-            raise MeasurementError(f"{name}: its clock falls, so that {log.source} cannot be matched to {source}")
+            raise MeasurementError(f"{name}: its clock falls: no time to match {log.source} to {source} by")
     at_s = clock.time_s + _apart_s(clock, source, log)
     out, notes = {}, []
     for name, values in log.columns.items():
