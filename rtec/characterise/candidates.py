@@ -17,6 +17,7 @@ from rtec.estimation.gram.source import Source, both_ways, gone_along, lags_s, r
 from rtec.estimation.gram.stream import Term
 from rtec.estimation.readings import read
 from rtec.estimation.visible import VisibleComponent, moves
+from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
@@ -62,7 +63,8 @@ class TermCandidate:
         channels: sensors, speed or axis that drive it.
         direct: the readings show its component directly, not only through a lever arm.
         offered: whether it may be chosen; otherwise it only shows with what a chosen term is confounded.
-        elsewhere: whether it grows along an axis by a sensor that is named after another one.
+        away: of what grows along an axis: 2 by a sensor that is named after another axis, 1 by one that is named after
+            none where the axis has its own, else 0.
     """
 
     term: Term
@@ -71,7 +73,7 @@ class TermCandidate:
     channels: tuple[str, ...] = ()
     direct: bool = True
     offered: bool = True
-    elsewhere: bool = False
+    away: int = 0
 
     @property
     def component(self) -> str:
@@ -159,6 +161,16 @@ def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Term
             yield _candidate("cross", "cross_talk", name, only=(k,), axis=axis.name, other=other.name)
 
 
+def _away(machine: Machine, sensor: str, axis: str, varying: Sequence[str]) -> int:
+    def own(name: str) -> bool:
+        others = [a.name for a in machine.axes if a.name != axis]
+        return not machine.of_another_axis(name, axis) and any(machine.of_another_axis(name, a) for a in others)
+
+    if machine.of_another_axis(sensor, axis):
+        return 2
+    return int(not own(sensor) and any(map(own, varying)))
+
+
 def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[TermCandidate]:
     """Temperature, difference and speed candidates of a component: alone, times position, times its square."""
     axis, taus, runs = seen.axis, lags_s(sources), speed_varies(sources)
@@ -183,9 +195,9 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
             yield _candidate("temperature", "mount_expansion", seen.name, theta, **more)
             if axis is not None and seen.moves and seen.name[2] != "0":
                 more["axis"] = axis.name
-                far = machine.of_another_axis(sensor, axis.name)
+                away = _away(machine, sensor, axis.name, varying)
                 for grows in ("axis_expansion", "axis_expansion_nonuniform"):
-                    yield replace(_candidate("temperature", grows, seen.name, theta, **more), elsewhere=far)
+                    yield replace(_candidate("temperature", grows, seen.name, theta, **more), away=away)
     for front, back in itertools.combinations(varying, 2):
         more = {"feature": f"{front} - {back}", "channels": (front, back), "front": front, "back": back}
         yield _candidate("difference", "column_tilt", seen.name, **more)

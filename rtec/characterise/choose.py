@@ -6,6 +6,7 @@ errors of all choices come from one set of normal equations. Alternatives that t
 from the choice are listed, as are effects that are confounded with the chosen ones.
 """
 
+import copy
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -229,6 +230,12 @@ class HeldOutTable:
         same_shape = mine.component == other.component and {mine.kind, other.kind} <= {"position", "region"}
         return not same_angle and not same_shape and (other.direct or not mine.direct)
 
+    def of_own_sensors(self) -> "HeldOutTable":
+        """The same table, in which nothing grows along an axis by a sensor that is not the axis' own."""
+        other = copy.copy(self)
+        other.usable = self.usable & np.array([not c.away for c in self.candidates])
+        return other
+
     def constant(self, i: int) -> int | None:
         """The usable candidate with a temperature's shape at constant temperature; None where there is none."""
         shape = at_constant_temperature(self.candidates[i], self.candidates)
@@ -375,9 +382,9 @@ def choose(
     forced = independent(normal, [table.columns[i] for i in forced], forced)
     path, steps = _forward(table, forced, "what was asked for", progress)
     chosen = _settled(table, path, forced)
-    for start in _other_starts(table, chosen, forced):
-        other_path, other_steps = _forward(table, start, "what every machine has", progress)
-        other = _settled(table, other_path, forced)
+    for among, start in _other_starts(table, chosen, forced):
+        other_path, other_steps = _forward(among, start, "what every machine has", progress)
+        other = _settled(among, other_path, forced)
         if _prior(table, other, chosen):
             chosen, steps = other, other_steps
     chosen = _by_own_sensors(table, chosen, forced)
@@ -400,8 +407,10 @@ def _settled(table: HeldOutTable, path: Sequence[list[int]], forced: list[int]) 
     return chosen
 
 
-def _other_starts(table: HeldOutTable, chosen: list[int], forced: list[int]) -> Iterator[list[int]]:
-    """What every machine has; the same with the axis' own sensors, where the choice follows those of other axes.
+def _other_starts(
+    table: HeldOutTable, chosen: list[int], forced: list[int]
+) -> Iterator[tuple[HeldOutTable, list[int]]]:
+    """What every machine has; the same with the axis' own sensors, and no others, where the choice follows others.
 
     A search that adds one term at a time may find one that stands for several, and then adds what mends it.
     """
@@ -409,34 +418,47 @@ def _other_starts(table: HeldOutTable, chosen: list[int], forced: list[int]) -> 
     both = [*forced, *(i for i in usual if i not in forced)]
     start = independent(table.normal, [table.columns[i] for i in both], both)
     if not set(start) <= set(chosen):
-        yield start
-    own = list(start)
+        yield table, start
+    own, among = list(start), table.of_own_sensors()
     for i in chosen:
-        if table.candidates[i].elsewhere and i not in forced and (near := _of_own(table, own, i)):
+        if table.candidates[i].away and i not in forced and (near := _of_own(among, own, i)):
             own.append(near[int(np.argmin(table.held_out_beside(own, near)))])
     if len(own) > len(start):
-        yield own
+        yield among, own
 
 
 def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
-    """Whether another choice goes before one: by other axes' sensors and errors that not every machine has, if as good.
+    """Whether another choice goes before one.
 
-    Or if it is better with no more of them.
+    It is as good with the sensors of its own axes, or follows no more temperatures and speeds and has fewer shapes that
+    not every machine has. Or it is better by more than one standard error, and has no more of any of these.
     """
 
-    def odd(c: list[int]) -> tuple[int, int]:
-        of = [table.candidates[i] for i in c]
-        return sum(k.elsewhere for k in of), sum(k.effect not in USUAL for k in of)
+    def away(c: list[int]) -> int:
+        return sum(table.candidates[i].away for i in c)
 
-    better, worse, fewer = table.errors(other), table.errors(chosen), odd(other) < odd(chosen)
-    return one_standard_error(better, worse) if fewer else odd(other) == odd(chosen) and better.sum() < worse.sum()
+    def odd(c: list[int]) -> int:
+        return sum(table.candidates[i].effect not in USUAL and not table.candidates[i].feature for i in c)
+
+    def followed(c: list[int]) -> int:
+        return sum(bool(table.candidates[i].feature) for i in c)
+
+    better, worse = table.errors(other), table.errors(chosen)
+    as_good = one_standard_error(better, worse)
+    if away(other) < away(chosen):
+        return as_good or one_standard_error(
+            better, worse, OWN if any(table.candidates[i].away > 1 for i in chosen) else 1
+        )
+    if away(other) > away(chosen) or odd(other) > odd(chosen) or followed(other) > followed(chosen):
+        return False
+    return as_good if odd(other) < odd(chosen) else not one_standard_error(worse, better)
 
 
 def _of_own(table: HeldOutTable, rest: list[int], i: int) -> list[int]:
-    """Candidates with the form of one whose sensor is named after another axis, by sensors that are not."""
-    form = _form(table.candidates[i])
+    """Candidates with the form of one whose sensor is not of its axis, by sensors that are nearer to it."""
+    form, away = _form(table.candidates[i]), table.candidates[i].away
     near = [k for k in table.shortlist(rest, len(table.candidates)) if _form(table.candidates[k]) == form]
-    return [k for k in near if not table.candidates[k].elsewhere and k not in rest]
+    return [k for k in near if table.candidates[k].away < away and k not in rest]
 
 
 def _by_usual(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
@@ -507,11 +529,11 @@ def _simplest(table: HeldOutTable, tried: Sequence[int], errors: Floats) -> int:
     return min(ranks)[-1]
 
 
-def _complexity(table: HeldOutTable, i: int) -> tuple[bool, bool, int, int, int]:
+def _complexity(table: HeldOutTable, i: int) -> tuple[bool, int, int, int, int]:
     candidate = table.candidates[i]
     return (
         not candidate.direct,
-        candidate.elsewhere,
+        candidate.away,
         len(table.columns[i]),
         KINDS.index(candidate.kind),
         len(candidate.term.theta),
@@ -599,15 +621,16 @@ def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[i
 
 
 def _by_own_sensors(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
-    """The choice with the sensor of the axis in the place of one that is named after another axis, where it is as good.
+    """The choice with the sensor of the axis in the place of one that is not, where it is as good.
 
     The nuts of two axes that run together warm alike on this day, and on another day they do not.
     """
     for i in chosen:
-        rest = [j for j in chosen if j != i]
-        if table.candidates[i].elsewhere and i not in forced and (near := _of_own(table, rest, i)):
+        rest, away = [j for j in chosen if j != i], table.candidates[i].away
+        if away and i not in forced and (near := _of_own(table, rest, i)):
             other = [*rest, near[int(np.argmin(table.held_out_beside(rest, near)))]]
-            chosen = other if one_standard_error(table.errors(other), table.errors(chosen), OWN) else chosen
+            times = OWN if away > 1 else 1.0
+            chosen = other if one_standard_error(table.errors(other), table.errors(chosen), times) else chosen
     return chosen
 
 

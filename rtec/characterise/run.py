@@ -15,7 +15,7 @@ from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
-from rtec.characterise.warnings import EXPANDS, FEW_BLOCKS
+from rtec.characterise.warnings import FEW_BLOCKS
 from rtec.effects import Effect
 from rtec.effects.base import Kind, component_kind
 from rtec.effects.effect_list import AskedEffects, read_wanted
@@ -39,6 +39,7 @@ from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
+from rtec.estimation.warmth import EXPANDS
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement

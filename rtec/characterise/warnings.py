@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rtec.characterise.coverage import cover_warnings, places_mm
 from rtec.characterise.result import UndecidedTerm, Warn
-from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.identifiable import label
@@ -21,6 +20,7 @@ from rtec.estimation.kinds import neighbour_noise
 from rtec.estimation.outliers import outlier_words
 from rtec.estimation.unmeasured import unmeasured_motions
 from rtec.estimation.visible import axis_of, moves
+from rtec.estimation.warmth import expands_much
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
@@ -101,8 +101,6 @@ GAP = 0.4
 NARROW_K = 3.0
 FEW_BLOCKS = 8
 LITTLE_INFORMATION = 0.05
-EXPANDS, SURE = 25.0, 2.0
-"""Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
 OPPOSITE = 0.5
 RIVALS = 6
 """Largest number of equally good effects that are named."""
@@ -314,10 +312,8 @@ def _expands_much(fit: Estimate) -> list[Warn]:
     """Screws and scales that would expand more than any material of a machine."""
     out = []
     for i, term in enumerate(fit.terms):
-        if not isinstance(term.effect, AxisExpansion):
-            continue
         k, error = (float(v[np.flatnonzero(fit.linear.owner == i)[0]]) for v in (fit.values, fit.errors))
-        if abs(k) - SURE * error > EXPANDS:
+        if expands_much(term.effect, k, error):
             text = (
                 f"{label(term)}: k = {significant(k)} µm/(m·K) is more than a material of a machine expands (steel 12, "
                 "aluminium 23): the sensor shows less than the screw warms, or this number stands for another effect, "

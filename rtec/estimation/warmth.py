@@ -10,13 +10,21 @@ import numpy as np
 
 from rtec.effects import Effect
 from rtec.effects.geometry import Scale
+from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.readings import Readings
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 
 WARMER_K = 1.0
+EXPANDS, SURE = 25.0, 2.0
+"""Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
 GROWS = 24.0
 """Expansion of aluminium, µm/m/K, the most of a machine's parts."""
+
+
+def expands_much(effect: Effect, k: float, error: float) -> bool:
+    """Whether a screw or scale would expand more than any material of a machine, by more than its standard error."""
+    return isinstance(effect, AxisExpansion) and abs(k) - SURE * error > EXPANDS
 
 
 @dataclass(frozen=True)

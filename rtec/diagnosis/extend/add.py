@@ -37,6 +37,7 @@ from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.unmeasured import UnmeasuredMotion, unmeasured_motions
+from rtec.estimation.warmth import expands_much
 from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -45,7 +46,7 @@ from rtec.model.model import names_of
 from rtec.parallel import one_blas_thread
 from rtec.result import Result
 from rtec.tomlfile import nearest, validated
-from rtec.wording import percent, two_numbers
+from rtec.wording import percent, significant, two_numbers
 
 TOLD = 4
 
@@ -156,6 +157,7 @@ class Added(Result):
         passed_over: effects that these readings cannot distinguish from the added one.
         undetermined: effects that cancel each other since the addition: only their sum is determined.
         doubts: about the record, in words, where they rule out fitting any number of the model to it.
+        impossible: numbers that no machine has, in words.
         own_kept: number of effects of the model, from the first on, that have kept their numbers.
         changed: numbers of the model that have changed since the readings that it was fitted to.
         unmeasured: motions of the tool that the added effects bring along and that no reading shows.
@@ -176,6 +178,7 @@ class Added(Result):
     passed_over: tuple[PassedOver, ...] = ()
     undetermined: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    impossible: tuple[str, ...] = ()
     own_kept: int = 0
     changed: tuple[ChangedNumber, ...] = ()
     unmeasured: tuple[UnmeasuredMotion, ...] = ()
@@ -201,6 +204,7 @@ class Added(Result):
             "changed": [vars(c) for c in self.changed],
             "unmeasured": [vars(u) for u in self.unmeasured],
             "doubts": list(self.doubts),
+            "impossible": list(self.impossible),
             "notes": list(self.notes),
             "history": [dict(h) for h in self.model.history],
             "model_sha256": self.model.hash,
@@ -302,13 +306,15 @@ def _add(
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
-    better = made.better and not cancelling and not wrong
+    much = _beyond_materials(model.effects, made.model.effects) if new else ()
+    better = made.better and not cancelling and not wrong and not much
     return replace(
         made,
         notes=(*made.notes, *searched),
         undetermined=cancelling,
         better=better,
         doubts=tuple(d.words for d in wrong),
+        impossible=much,
         changed=changed_between(model, after, readings) if earlier is model else (),
         unmeasured=unmeasured_motions(after.effects, readings, len(model.effects)),
     )
@@ -522,6 +528,8 @@ def not_determined(names: Sequence[str]) -> str:
 
 def refused(added: Added) -> str:
     """Why an addition does not improve the model enough, in words."""
+    if added.impossible:
+        return " ".join(added.impossible).rstrip(".")
     if added.doubts:
         return f"the record is in doubt: {' '.join(added.doubts)}".rstrip(".")
     if added.undetermined:
@@ -550,6 +558,20 @@ def is_there(model: Model, fitted: FittedEffect) -> bool:
     """Whether a model already has an effect; a wave with another period is a different one, and a delay likewise."""
     same = [f for f in model.effects if f.effect == fitted.effect]
     return any(not f.theta or all(_near(f.theta[n], fitted.theta[n]) for n in f.theta) for f in same)
+
+
+def _beyond_materials(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> tuple[str, ...]:
+    """Expansions that are more than those of any material, and were not before, in words."""
+
+    def much(f: FittedEffect) -> bool:
+        return "k" in f.values and expands_much(f.effect, f.values["k"], f.errors.get("k", 0.0))
+
+    there = {f.label for f in before if much(f)}
+    return tuple(
+        f"{f.label} would have k = {significant(f.values['k'])} µm/(m·K); no material of a machine expands so much."
+        for f in after
+        if much(f) and f.label not in there
+    )
 
 
 def _check_new(model: Model, new: Sequence[FittedEffect]) -> None:
