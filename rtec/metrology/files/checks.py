@@ -45,6 +45,8 @@ TEMPERATURE_CODES: Mapping[float, str] = {
     32767.0: "the highest 16-bit number",
     65535.0: "the highest 16-bit number",
 }
+WARMEST_DEGC = 50.0
+"""No machine is warmer than this at every sensor; 68 °F is 20 °C."""
 # Values that measuring programs write for a lost reading; no machine tool has an error of 10 mm or 10 mrad.
 READING_CODES = (9999.0, 9999.9, 99999.0, 99999.9, 999999.0, 9999999.0, -9999.0, -99999.0, -999999.0, -9999999.0)
 
@@ -137,8 +139,18 @@ class CheckedRows:
                 outside &= ~hit
             sensor = name.removesuffix("_degc")
             way = f"correct it, widen range_degc of [temperature.{sensor}] in the machine file, or {self.drop_way}"
+            if self._fahrenheit(name, low, high):
+                way = f"if it is in °F, convert all to (T - 32) / 1.8, which lies in the range; else {way}"
             self._tell(name, "range", outside, f"{{}} °C, outside the sensor's range {low:g} to {high:g} °C", way)
         self._hold(name)
+
+    def _fahrenheit(self, name: str, low: float, high: float) -> bool:
+        """Whether all temperatures are above 50 °C, and those of a sensor are in its range if they are in °F."""
+        known = {n: v[np.isfinite(v)] for n, v in self.raw.columns.items() if n.endswith("_degc")}
+        if any(len(v) and float(np.median(v)) < WARMEST_DEGC for v in known.values()):
+            return False
+        celsius = (known[name] - 32.0) / 1.8
+        return bool(np.all((celsius >= low) & (celsius <= high)))
 
     def _hold(self, name: str) -> None:
         """Fill gaps of a temperature with its last good value, where the user accepts that."""
