@@ -26,8 +26,6 @@ FASTEST_MM_S, TOO_FAST = 5000.0, 0.1
 """No machine tool moves faster; share of the moves that are faster, where the clock is asked about."""
 FAR_K, NEAR_K = 20.0, 10.0
 """Temperatures are far from those of a fit beyond the first, and near them within the second."""
-OUTSIDE = 0.01
-"""Share of the travel by which positions are said to be outside."""
 
 
 def implausible(judged: Judgement) -> list[Doubt]:
@@ -101,12 +99,10 @@ def _too_fast(m: Measurement, axis: Axis) -> Doubt | None:
 def _outside(judged: Judgement, m: Measurement, axis: Axis) -> Doubt | None:
     """Positions outside the travel; where the fit did not have them either, they precede every answer."""
     (low, high), places = axis.travel_mm, m.channels[axis.channel]
-    first, last = float(np.nanmin(places)), float(np.nanmax(places))
-    most = max(low - first, last - high)
-    if most <= OUTSIDE * (high - low):
+    first, last, beyond = float(np.nanmin(places)), float(np.nanmax(places)), BEYOND * (high - low)
+    if first >= low - beyond and last <= high + beyond:
         return None
     fitted = judged.model.valid_range.get(axis.channel)
-    beyond = BEYOND * (high - low)
     new = fitted is not None and (first < min(low, fitted[0]) - beyond or last > max(high, fitted[1]) + beyond)
     message = (
         f"{axis.name} of {m.name} was at {significant(first)} to {significant(last)} mm, outside its travel of {low:g} "
