@@ -14,14 +14,14 @@ from rtec.estimation.columns import base_of
 from rtec.estimation.judge import Judgement
 from rtec.estimation.warmth import of_the_fit
 from rtec.machine import Axis
+from rtec.metrology.contradicted import contradicted
 from rtec.metrology.measurement import Measurement
 from rtec.wording import ERROR_UNITS, significant, sizes
 
 Floats = NDArray[np.float64]
 
-AGAINST, FEWEST, FEWEST_EACH_WAY = 0.9, 10, 3
-"""A direction contradicts the order of the positions in at least this share of the moves, of at least so many, and so
-many each way: all targets of one pass may be approached from beyond."""
+FEWEST = 10
+"""Moves, with fewer of which the clock is not asked about."""
 FASTEST_MM_S, TOO_FAST = 5000.0, 0.1
 """No machine tool moves faster; share of the moves that are faster, where the clock is asked about."""
 FAR_K, NEAR_K = 20.0, 10.0
@@ -41,17 +41,9 @@ def implausible(judged: Judgement) -> list[Doubt]:
 
 def _direction(judged: Judgement, m: Measurement, axis: Axis) -> Doubt | None:
     """A direction with the wrong sign: the position rises where the direction is -1, and falls where it is +1."""
-    d = m.channels.get(axis.direction_channel)
-    if d is None:
-        return None
-    within, way = m.run[1:] == m.run[:-1], np.diff(m.channels[axis.channel])
-    moved = within & (np.abs(way) > REAL["mm"])
-    # Between two readings at one place with other directions there was a move that no row shows.
-    unseen = within & ~moved & (d[1:] != d[:-1])
-    up, down = moved & (way > 0.0) & (d[1:] < 0.0), moved & (way < 0.0) & (d[1:] > 0.0)
-    moves, against = int(moved.sum()), int(up.sum() + down.sum())
-    few = against < FEWEST or min(up.sum(), down.sum()) < FEWEST_EACH_WAY
-    if few or against < AGAINST * moves or unseen.sum() > (1.0 - AGAINST) * moves:
+    ways = m.channels.get(axis.direction_channel)
+    found = None if ways is None else contradicted(m.run, m.channels[axis.channel], ways)
+    if found is None:
         return None
     now, other = judged.residual, _other_way(judged, m, axis)
     if other > AS_GOOD * now:
@@ -60,7 +52,7 @@ def _direction(judged: Judgement, m: Measurement, axis: Axis) -> Doubt | None:
     name = f"dir_{axis.channel}"
     fits = f"; with the other sign the model leaves {here} instead of {there} {ERROR_UNITS[judged.unit]}"
     message = (
-        f"{name} of {m.name} contradicts the order of the positions in {against} of {moves} moves: {axis.channel} "
+        f"{name} of {m.name} contradicts the order of the positions in {found[0]} of {found[1]} moves: {axis.channel} "
         f"rises where it is -1 and falls where it is +1{fits if AS_GOOD * other < now else ''}."
     )
     step = (
@@ -123,7 +115,7 @@ def _temperatures(judged: Judgement, m: Measurement) -> Doubt | None:
     if not fahrenheit and len(now) == 1:
         return None
     (low, high), (least, most) = _span(now), _span({n: known[n] for n in now})
-    named = " and ".join(now) if len(now) < FEWEST_EACH_WAY else f"all {len(now)} known temperatures"
+    named = " and ".join(now) if len(now) <= 2 else f"all {len(now)} known temperatures"
     message = (
         f"At the model's fit {named} went from {significant(least)} to {significant(most)} °C, in {m.name} from "
         f"{significant(low)} to {significant(high)} °C."

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtec.machine import Machine
+from rtec.metrology.contradicted import contradicted
 from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.table import Bools, Floats, Raw
 from rtec.metrology.files.toml import Leniency
@@ -243,6 +244,14 @@ def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:
             low, high = axis.travel_mm
             span = f"{position.min():g} to {position.max():g} mm"
             out.append(f"{axis.channel}_mm goes from {span}, axis {axis.name} from {low:g} to {high:g}: right unit?")
+        ways = raw.columns.get(f"dir_{axis.channel}")
+        if position is not None and ways is not None:
+            wrong = contradicted(raw.columns["run"], position, ways)
+            if wrong is not None:
+                said = (
+                    f"dir_{axis.channel} contradicts the order of {axis.channel}_mm in {wrong[0]} of {wrong[1]} moves"
+                )
+                out.append(f"{said}: right sign?")
     return out + _same_runs(raw, readings)
 
 
