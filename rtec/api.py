@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from rtec.errors import ConfigError, MeasurementError, ModelError
+from rtec.errors import ConfigError, MeasurementError, ModelError, RtecError
 from rtec.files import target_of
 from rtec.machine import Machine
 from rtec.machine import load_machine as _load_machine
@@ -111,7 +111,11 @@ def load_measurement(path: PathLike, machine: MachineLike, leniency: "Leniency |
 
 
 def propose_import(
-    path: PathLike, machine: MachineLike | None = None, answers: Mapping[str, str] | None = None
+    path: PathLike,
+    machine: MachineLike | None = None,
+    answers: Mapping[str, str] | None = None,
+    *,
+    temperatures: PathLike | None = None,
 ) -> "ImportProposal":
     """Propose how to read another program's table: its columns, first values, guesses with reasons, questions.
 
@@ -119,13 +123,15 @@ def propose_import(
         path: the table.
         machine: machine of the measurement; its axes and sensors are matched with the columns.
         answers: answers to questions, by key; `ImportProposal.answered` adds more.
+        temperatures: log of temperatures in a file of its own, matched by date or time of day.
 
     Raises:
         MeasurementError: the file is no table, or an answer is not allowed.
     """
-    from rtec.metrology.importing import propose
+    from rtec.metrology.importing import beside, propose
 
-    return propose(Path(path), None if machine is None else _machine(machine), {}, answers)
+    preset = {} if temperatures is None else {"temperatures": {"file": beside(Path(temperatures), Path(path))}}
+    return propose(Path(path), None if machine is None else _machine(machine), preset, answers)
 
 
 def import_table(
@@ -724,7 +730,9 @@ def replay(
 
 
 def _machine(machine: MachineLike) -> Machine:
-    return machine if isinstance(machine, Machine) else load_machine(machine)
+    if isinstance(machine, Machine):
+        return machine
+    return load_machine(_file(machine, "machine", ConfigError))
 
 
 def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path | None, Path | None]:
@@ -734,7 +742,7 @@ def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path |
 
     if isinstance(model, Model):
         return model, None, None
-    path = Path(model)
+    path = _file(model, "model", ModelError)
     if isinstance(machine, Machine):
         return load(path, machine), path, None
     described = machine_file(path, None if machine is None else Path(machine))
@@ -755,7 +763,24 @@ def _of_machine(result: R, model: Path | None, machine: Path | None) -> R:
 
 
 def _listed(items: MeasurementLike | Iterable[MeasurementLike]) -> list[MeasurementLike]:
-    return [items] if isinstance(items, str | Path | Measurement) else list(items)
+    items = [items] if isinstance(items, str | Path | Measurement) or not isinstance(items, Iterable) else list(items)
+    for item in items:
+        if not isinstance(item, Measurement):
+            _file(item, "measurement", MeasurementError)
+    return items
+
+
+def _file(thing: object, kind: str, error: type[RtecError]) -> Path:
+    """The path of a file.
+
+    Raises:
+        error: it is no path; as where arguments are in the wrong order.
+    """
+    if isinstance(thing, str | os.PathLike):
+        return Path(thing)
+    name = type(thing).__name__
+    article = "an" if name[0].lower() in "aeiou" else "a"
+    raise error(f"{article} {name} is given where a {kind} or its file is expected")
 
 
 def _path(thing: object) -> Path | None:

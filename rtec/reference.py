@@ -193,7 +193,9 @@ def _example(file: str, option: Option, when: str, table: Mapping[str, Any]) -> 
     """A line of TOML, from the first of: written examples, the driver's own, a shipped file, the default, a choice."""
     name = option.name.rpartition(".")[2]
     kind = when.partition('"')[2].rstrip('"')
-    for written in (f"{kind}.{name}", f"{file}.{option.name}", ".".join(option.name.split(".")[-2:]), name):
+    whole = f"{file}.{option.name}"
+    as_in_the_map = whole.replace("map.temperatures.", "map.")
+    for written in (f"{kind}.{name}", whole, as_in_the_map, ".".join(option.name.split(".")[-2:]), name):
         if written in EXAMPLES:
             return f"{name} = {EXAMPLES[written]}"
     path = option.name.removeprefix("device.NAME.").split(".")
@@ -389,6 +391,7 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "map.run.direction_of": '"x_mm"',
     "map.run.gap_s": "120.0",
     "map.run.jump_mm": "50.0",
+    "map.temperatures.file": '"logger.csv"',
     "map.rows.require": '["error"]',
     "map.rows.where": '"bed_target == 105"',
     "map.column.NAME.from": '"Abweichung"',

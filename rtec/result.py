@@ -138,11 +138,19 @@ class Shown(ABC):
         chosen: Figure = figures[name or next(iter(figures))].png.figure
         return chosen
 
+    def __str__(self) -> str:
+        lead, table = self._first()
+        return f"{lead}\n\n{_text(table)}" if table else lead
+
     def _repr_html_(self) -> str:
+        lead, table = self._first()
+        return f"<p><b>{escape(lead)}</b></p>{_html(table) if table else ''}"
+
+    def _first(self) -> tuple[str, Any]:
+        """The verdict, and the first table of the page, if any."""
         page = self.page(figures=False)
         sections = [page.brief] if page.brief else page.sections
-        table = next((s.table for s in sections if s.table), None)
-        return f"<p><b>{escape(page.lead)}</b></p>{_html(table) if table else ''}"
+        return page.lead, next((s.table for s in sections if s.table), None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,6 +193,17 @@ class Result(Shown):
 
 def _is_cell(value: object) -> bool:
     return value is None or isinstance(value, str | int | float | bool)
+
+
+def _text(table: Any) -> str:
+    """A table of a page as text, its columns in line."""
+    rows = [table.head, *table.rows]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(table.head))]
+    cells = (
+        (c.ljust(w) if k in table.words else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
+        for row in rows
+    )
+    return "\n".join("   ".join(row) for row in cells)
 
 
 def _html(table: Any) -> str:

@@ -1,5 +1,6 @@
 """Reading TOML into strict pydantic models, with messages that name the key, its place, and what is allowed."""
 
+import codecs
 import difflib
 import hashlib
 import json
@@ -34,6 +35,36 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
+KINDS = (
+    ("a model file", "model", "format"),
+    ("a run file", "run", "machine"),
+    ("a machine file", "machine", "tool_chain"),
+    ("a measurement", "measurement", "instrument"),
+)
+"""Kinds of files, each with a table and a key of it that no other kind has."""
+TABLES = (".csv", ".parquet")
+
+
+def read_kind(path: Path, kind: str, error: type[RtecError] = ConfigError) -> dict[str, Any]:
+    """The tables of a TOML file of a kind.
+
+    Args:
+        path: the file.
+        kind: one of `KINDS`.
+        error: what is raised.
+
+    Raises:
+        error: as `read_toml`; or the file is of another kind, which the message names.
+    """
+    data = read_toml(path, error)
+    for name, table, key in KINDS:
+        if isinstance(head := data.get(table), dict) and key in head:
+            if name != kind:
+                raise error(f"{path}: is {name}; {kind} is expected here")
+            break
+    return data
+
+
 def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any]:
     """The tables of a TOML file.
 
@@ -43,7 +74,9 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
     try:
         if path.stat().st_size > MAX_BYTES:
             raise error(f"{path}: larger than {MAX_BYTES // 2**20} MiB, which no configuration is")
-        text = path.read_text(encoding="utf-8")
+        if path.suffix.lower() in TABLES and path.is_file():
+            raise error(f"{path}: is a table of readings; a TOML file is expected here")
+        text = path.read_text(encoding="utf-8-sig")  # editors of Windows write a byte order mark
         if ENDLESS_KEY.search(text):
             raise RecursionError  # tomllib needs quadratic time to read such a key
         data = tomllib.loads(text)
@@ -55,7 +88,9 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
     except PermissionError as e:
         raise error(f"{path}: may not be read by this user") from e
     except UnicodeDecodeError as e:
-        raise error(f"{path}: not UTF-8 text (byte {e.start})") from e
+        is_utf_16 = bytes(e.object[:2]) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        what = "is UTF-16 text; save it as UTF-8" if is_utf_16 else f"not UTF-8 text (byte {e.start})"
+        raise error(f"{path}: {what}") from e
     except RecursionError as e:
         raise error(f"{path}: nested too deeply") from e
     except OSError as e:

@@ -7,7 +7,7 @@ from the choice are listed, as are effects that are confounded with the chosen o
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,10 @@ NEAR = 0.02
 SAME = 0.1
 """Predictions count as equal if they differ by less than this share of the residual."""
 TRIED = 80
+
+
+USUAL = ("scale", "squareness", "backlash")
+"""Errors that every machine has."""
 
 
 def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedTerm]:
@@ -369,7 +373,22 @@ def choose(
     """
     table = HeldOutTable(normal, candidates, single)
     forced = independent(normal, [table.columns[i] for i in forced], forced)
-    path, steps = _forward(table, forced, progress)
+    path, steps = _forward(table, forced, "what was asked for", progress)
+    chosen = _settled(table, path, forced)
+    for start in _other_starts(table, chosen, forced):
+        other_path, other_steps = _forward(table, start, "what every machine has", progress)
+        other = _settled(table, other_path, forced)
+        if _prior(table, other, chosen):
+            chosen, steps = other, other_steps
+    chosen = _by_own_sensors(table, chosen, forced)
+    chosen = _by_usual(table, chosen, forced)
+    held_out = float(np.sqrt(table.held_out(chosen)))
+    rivals, same = find_rivals(table, chosen), table.confounded(chosen)
+    return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
+
+
+def _settled(table: HeldOutTable, path: Sequence[list[int]], forced: list[int]) -> list[int]:
+    """The smallest good choice of a path, its unnecessary terms dropped, each term exchanged for a better one."""
     chosen = _smallest_good(table, path)
     chosen = _drop(table, chosen, forced, table.errors(_best(table, path)))
     for _ in range(SWAPS):
@@ -378,10 +397,60 @@ def choose(
             break
         best = min((table.errors(c) for c in (better, _best(table, path))), key=np.sum)
         chosen = _drop(table, better, forced, best)
-    chosen = _by_own_sensors(table, chosen, forced)
-    held_out = float(np.sqrt(table.held_out(chosen)))
-    rivals, same = find_rivals(table, chosen), table.confounded(chosen)
-    return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
+    return chosen
+
+
+def _other_starts(table: HeldOutTable, chosen: list[int], forced: list[int]) -> Iterator[list[int]]:
+    """What every machine has; the same with the axis' own sensors, where the choice follows those of other axes.
+
+    A search that adds one term at a time may find one that stands for several, and then adds what mends it.
+    """
+    usual = [i for i, c in enumerate(table.candidates) if c.effect in USUAL and c.direct and table.usable[i]]
+    both = [*forced, *(i for i in usual if i not in forced)]
+    start = independent(table.normal, [table.columns[i] for i in both], both)
+    if not set(start) <= set(chosen):
+        yield start
+    own = list(start)
+    for i in chosen:
+        if table.candidates[i].elsewhere and i not in forced and (near := _of_own(table, own, i)):
+            own.append(near[int(np.argmin(table.held_out_beside(own, near)))])
+    if len(own) > len(start):
+        yield own
+
+
+def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
+    """Whether another choice goes before one: by other axes' sensors and errors that not every machine has, if as good.
+
+    Or if it is better with no more of them.
+    """
+
+    def odd(c: list[int]) -> tuple[int, int]:
+        of = [table.candidates[i] for i in c]
+        return sum(k.elsewhere for k in of), sum(k.effect not in USUAL for k in of)
+
+    better, worse, fewer = table.errors(other), table.errors(chosen), odd(other) < odd(chosen)
+    return one_standard_error(better, worse) if fewer else odd(other) == odd(chosen) and better.sum() < worse.sum()
+
+
+def _of_own(table: HeldOutTable, rest: list[int], i: int) -> list[int]:
+    """Candidates with the form of one whose sensor is named after another axis, by sensors that are not."""
+    form = _form(table.candidates[i])
+    near = [k for k in table.shortlist(rest, len(table.candidates)) if _form(table.candidates[k]) == form]
+    return [k for k in near if not table.candidates[k].elsewhere and k not in rest]
+
+
+def _by_usual(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
+    """The choice with an error that every machine has in the place of any other one that does no better."""
+    usual = [i for i, c in enumerate(table.candidates) if c.effect in USUAL and c.direct and table.usable[i]]
+    for i in chosen:
+        near = [k for k in usual if k not in chosen]
+        if i in forced or table.candidates[i].feature or table.candidates[i].effect in USUAL or not near:
+            continue
+        rest = [j for j in chosen if j != i]
+        errors = table.held_out_beside(rest, near)
+        if errors.min() <= table.held_out(chosen) * (1 + SIMPLER):
+            chosen = [*rest, near[int(np.argmin(errors))]]
+    return chosen
 
 
 def one_standard_error(worse: Floats, better: Floats, times: float = 1.0) -> bool:
@@ -404,11 +473,12 @@ def independent(normal: Normal, columns: Sequence[Ints], items: Sequence[int]) -
 
 
 def _forward(
-    table: HeldOutTable, forced: list[int], progress: Progress | None
+    table: HeldOutTable, start: list[int], label: str, progress: Progress | None
 ) -> tuple[list[list[int]], list[ChoiceStep]]:
-    path: list[list[int]] = [forced]
-    steps = [_step(table, forced, "what was asked for" if forced else "nothing")]
-    best, vain = table.held_out(forced), 0
+    """Add one term at a time to a start, which has a label."""
+    path: list[list[int]] = [start]
+    steps = [_step(table, [], "nothing"), *([_step(table, start, label)] if start else [])]
+    best, vain = table.held_out(start), 0
     while len(path) <= MOST_TERMS and vain < PATIENCE:
         tried = table.shortlist(path[-1])
         if not tried:
@@ -534,13 +604,8 @@ def _by_own_sensors(table: HeldOutTable, chosen: list[int], forced: list[int]) -
     The nuts of two axes that run together warm alike on this day, and on another day they do not.
     """
     for i in chosen:
-        one = table.candidates[i]
-        if not one.elsewhere or i in forced:
-            continue
         rest = [j for j in chosen if j != i]
-        near = [k for k in table.shortlist(rest, len(table.candidates)) if _form(table.candidates[k]) == _form(one)]
-        near = [k for k in near if not table.candidates[k].elsewhere and k not in rest]
-        if near:
+        if table.candidates[i].elsewhere and i not in forced and (near := _of_own(table, rest, i)):
             other = [*rest, near[int(np.argmin(table.held_out_beside(rest, near)))]]
             chosen = other if one_standard_error(table.errors(other), table.errors(chosen), OWN) else chosen
     return chosen

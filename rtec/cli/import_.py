@@ -39,6 +39,10 @@ def import_(
         list[str] | None,
         typer.Option("--answer", "-a", metavar="KEY=VALUE", help="What the file does not say; repeatable."),
     ] = None,
+    temperatures: Annotated[
+        Path | None,
+        typer.Option("--temperatures", metavar="LOG", help="Log of temperatures, matched by date or time of day."),
+    ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the readers.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     drop_bad_rows: Annotated[bool, typer.Option("--drop-bad-rows", help="Drop rows with an unusable cell.")] = False,
@@ -54,17 +58,18 @@ def import_(
 
     Without --map it finds out how FILE is written and what its columns are, and shows a proposed map with reasons. It
     asks only what the file does not say: on a terminal, else with --answer. With -o it writes the measurement, and the
-    map that made it as NAME-map.toml. The notes on the import are printed and kept in NAME.toml.
+    map that made it as NAME-map.toml. The notes on the import are printed and kept in NAME.toml. Temperatures that a
+    logger wrote into a file of its own come with --temperatures.
     """
     if list_:
         _list(as_json=as_json)
         return
     if not files:
         raise typer.BadParameter("name a FILE, or ask for --list", param_hint="FILE")
-    if map_ is not None and out is not None and not answer and _is_whole(map_):
+    if map_ is not None and out is not None and not answer and temperatures is None and _is_whole(map_):
         _import(files, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
         return
-    proposal = _proposal(files[0], map_, reader, machine, answer or [])
+    proposal = _proposal(files[0], map_, reader, machine, answer or [], temperatures)
     if _somebody_is_there() and not as_json:
         proposal = _ask_user(proposal)
         out = out or _name_for(files[0])
@@ -78,17 +83,24 @@ def import_(
 
 
 def _proposal(
-    file: Path, map_: Path | None, reader: str | None, machine: Path | None, answers: list[str]
+    file: Path,
+    map_: Path | None,
+    reader: str | None,
+    machine: Path | None,
+    answers: list[str],
+    temperatures: Path | None,
 ) -> "ImportProposal":
     """The proposal, with the answers of the command line."""
     from rtec.errors import MeasurementError
     from rtec.machine import load_machine
-    from rtec.metrology.importing import propose
+    from rtec.metrology.importing import beside, propose
     from rtec.tomlfile import read_toml
 
     preset = read_toml(map_, MeasurementError) if map_ is not None else {}
     if reader is not None:
         preset = preset | {"source": {**preset.get("source", {}), "reader": reader}}
+    if temperatures is not None:
+        preset = preset | {"temperatures": {"file": beside(temperatures, file)}}
     given = {}
     for text in answers:
         # A column's name may contain "=", as may an answer that is a table: probe={z={direction="Z"}}.

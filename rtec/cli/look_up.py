@@ -151,7 +151,7 @@ def machine_hash(file: MachinePath) -> None:
 def check(
     file: MachinePath,
     models: Annotated[
-        list[Path] | None, typer.Argument(metavar="[MODEL]...", help="Models, run by this machine.", show_default=False)
+        list[Path] | None, typer.Argument(metavar="MODEL...", help="Models, run by this machine.", show_default=False)
     ] = None,
 ) -> None:
     """Checks a machine file, and models against it. Exit status 2 and all faults if something is wrong.

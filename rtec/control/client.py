@@ -99,6 +99,8 @@ def _by_ssh(config: Path | None, at: str, key: Path | None) -> tuple[str, ...]:
 
 
 def _none(config: Path | None) -> str:
+    if config is not None and not config.exists():
+        return f"{config}: no such file"
     who = "no daemon runs" if config is None else f"no daemon runs with {config}"
     user = f" as this user (number {os.geteuid()})" if config is None and os.geteuid() else ""
     return (
@@ -333,7 +335,9 @@ def _resumed(
         return None
     if wrong:
         return Outcome(False, f"resumed, but {' | '.join(wrong)}", after)
-    return Outcome(True, "the devices go on from where they are", after)
+    what = {"hold": "held", "off": "off"}.get(status["mode"])
+    still = f"; the correction stays {what}, as ordered: `rtec ctl enable` ends that" if what else ""
+    return Outcome(True, f"the devices go on from where they are{still}", after)
 
 
 CHUNK_BYTES: Final = 65536

@@ -6,7 +6,7 @@ from pathlib import Path
 from rtec.errors import ModelError, RtecError
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
-from rtec.tomlfile import read_toml
+from rtec.tomlfile import read_kind, read_toml
 
 FOLDERS = (".", "..", "machines", "../machines", "configs/machines")
 MOST_BYTES = 1_000_000
@@ -41,16 +41,13 @@ def machine_file(model: Path, machine: Path | None = None) -> Path:
     Raises:
         ModelError: the model cannot be read, or no machine file belongs to it.
     """
-    if model.suffix.lower() == ".csv":
-        raise ModelError(f"{model}: is a table of readings; a model file is expected first, then the measurements")
-    there = read_toml(model, ModelError)
-    if set(there) >= MACHINE:
+    if set(read_toml(model, ModelError)) >= MACHINE:
         if machine is not None and load_machine(machine).hash != load_machine(model).hash:
             raise ModelError(f"{model}: is a machine file, not a model, and of another machine than {machine}")
         return model
     if machine is not None:
         return machine
-    head = there.get("model")
+    head = read_kind(model, "a model file", ModelError).get("model")
     wanted = head.get("machine_hash") if isinstance(head, dict) else None
     if not isinstance(head, dict) or not isinstance(wanted, str):
         raise ModelError(f"{model}: [model] machine_hash is missing; is this a model file?")

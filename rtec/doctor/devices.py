@@ -33,7 +33,7 @@ from rtec.loop.devices import device_options, make_device
 from rtec.loop.driver_info import CAN_BE
 from rtec.loop.run_file import RunFile, load_setup
 from rtec.machine import load_machine
-from rtec.tomlfile import read_toml, validated
+from rtec.tomlfile import read_kind, validated
 
 SLOW_NS = 50_000_000
 """Period, ns, of reading temperatures and the spindle; counts are read in every cycle, as in the loop."""
@@ -185,7 +185,7 @@ def load_patient(path: Path, root: Path = ROOT) -> tuple[Patient, list[DeviceFau
     Raises:
         ConfigError: the run file or the machine file is at fault.
     """
-    file = validated(RunFile, read_toml(path), str(path))
+    file = validated(RunFile, read_kind(path, "a run file"), str(path))
     machine = load_machine(path.parent / file.run.machine)
     patient = Patient(path, file, machine, root)
     try:

@@ -18,7 +18,7 @@ from rtec.doctor.found import PcFinding, PcFound
 from rtec.doctor.wakeup import WakeUps, judged, measured
 from rtec.errors import DriverUnavailable
 from rtec.loop.run_file import Realtime, RunFile
-from rtec.tomlfile import read_toml, validated
+from rtec.tomlfile import read_kind, validated
 
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 """Bits of CapEff in /proc/PID/status (capabilities(7))."""
@@ -382,7 +382,7 @@ def wanted_of(path: Path | None) -> tuple[Realtime, float]:
     """
     if path is None:
         return Realtime(), DEFAULT_RATE_HZ
-    file = validated(RunFile, read_toml(path), str(path))
+    file = validated(RunFile, read_kind(path, "a run file"), str(path))
     return file.realtime, file.run.rate_hz
 
 

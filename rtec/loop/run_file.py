@@ -22,7 +22,7 @@ from rtec.loop.telemetry_tables import LOOPBACK, TelemetryTable, is_place
 from rtec.machine import Axis, Machine, load_machine
 from rtec.model import Model, load_model
 from rtec.quantities import DegreesCelsius, MicrometresPositive, Millimetres, MillimetresPositive, RevolutionsPerMinute
-from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
+from rtec.tomlfile import Strict, digest, nearest, read_kind, validated
 
 NO_DEVICES: Final = {"role": {"counts": "none", "actuator": "none"}, "device": {}}
 
@@ -296,7 +296,7 @@ def load_setup(path: Path, *, needs_model: bool = True, needs_devices: bool = Tr
     Raises:
         RtecError: all faults of all these files.
     """
-    data = read_toml(path)
+    data = read_kind(path, "a run file")
     file = validated(RunFile, data if needs_devices else {**NO_DEVICES, **data}, str(path))
     base = path.parent
     machine = load_machine(base / file.run.machine)

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from rtec.errors import ConfigError
 from rtec.machine.chain import Axis, Chain, Link, derive_chain
 from rtec.quantities import Counts, CountsPerMillimetre, DegreesCelsius, Millimetres, MillimetresPositive, Vector
-from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
+from rtec.tomlfile import Strict, digest, nearest, read_kind, validated
 
 CONSTANT_CHANNELS = ("load_kg", "force_n")
 """Workpiece weight and force: columns of a measurement; in the loop, constants from the run file."""
@@ -214,7 +214,7 @@ def load_machine(path: Path) -> Machine:
     Raises:
         ConfigError: all faults of the file, with file, section, key and what is allowed.
     """
-    return replace(machine_from(read_toml(path), str(path)), file=path)
+    return replace(machine_from(read_kind(path, "a machine file"), str(path)), file=path)
 
 
 def machine_from(data: Mapping[str, Any], source: str) -> Machine:

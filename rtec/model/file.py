@@ -23,7 +23,7 @@ from rtec.quantities import (
     DegreesCelsius,
     MicrometresNotNegative,
 )
-from rtec.tomlfile import Strict, read_toml, validated
+from rtec.tomlfile import Strict, read_kind, validated
 
 FORMAT = 1
 ROUNDED = 0.015
@@ -114,7 +114,7 @@ def load_model(path: Path, machine: Machine) -> Model:
         ModelError: the file is broken, made for another machine, or names an unknown effect, argument or parameter; the
             message has the place and what is allowed.
     """
-    return model_from(read_toml(path, ModelError), machine, str(path))
+    return model_from(read_kind(path, "a model file", ModelError), machine, str(path))
 
 
 def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rtec.diagnosis.doubts.not_read import unread_beside
+from rtec.diagnosis.doubts.not_read import not_logged_beside, unread_beside
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, rivals_of, same_part, sentence
@@ -207,6 +207,14 @@ BETTER = 0.005
 """Smallest relative fall of the mean square that is shown."""
 
 
+def _beside(d: Diagnosis) -> str:
+    """What the files hold and the diagnosis does not use."""
+    if d.judged is None:
+        return ""
+    read = d.judged.readings.measurements
+    return unread_beside(read, d.doubts) + not_logged_beside(read)
+
+
 def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
     """The page.
 
@@ -218,7 +226,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
     residual, floor = sizes(d.rms_residual, d.noise_floor)
     return Page(
         title="Which effect is missing",
-        lead=sentence(d.sentence) + (unread_beside(d.judged.readings.measurements, d.doubts) if d.judged else ""),
+        lead=sentence(d.sentence) + _beside(d),
         numbers=[
             (f"{residual}\u00a0{unit}", "residual of the model"),
             (f"{floor}\u00a0{unit}", "noise floor"),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtec.diagnosis.doubts.not_read import unread_beside
+from rtec.diagnosis.doubts.not_read import not_logged_beside, unread_beside
 from rtec.diagnosis.extend.add import Added, not_determined
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import NEAREST, SHAPE, Improved
@@ -162,7 +162,9 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     if r.events:
         lead = f"{words(r.events)} {lead}"
     judged = r.diagnoses[-1].judged if r.diagnoses else None
-    lead += unread_beside(judged.readings.measurements, r.diagnoses[-1].doubts) if judged else ""
+    if judged:
+        read = judged.readings.measurements
+        lead += unread_beside(read, r.diagnoses[-1].doubts) + not_logged_beside(read)
     steps = [
         Section(f"Step {i}: {', '.join(s.labels)}", _before_and_after(s).text, _before_and_after(s).table)
         for i, s in enumerate(r.steps, 1)

@@ -49,6 +49,7 @@ def look_at_foreign(
     machine: Path | None,
     answers: Mapping[str, str],
     edited: Mapping[str, Mapping[str, Any]] | None,
+    temperatures: str = "",
 ) -> ImportView:
     """Propose a map for a file, and import it in memory if all questions are answered.
 
@@ -58,6 +59,7 @@ def look_at_foreign(
         machine: file of the machine; None: not chosen yet.
         answers: answers to its questions, by key.
         edited: columns of the map that the user changed; None: as proposed.
+        temperatures: name of a log of temperatures beside it; empty: there is none.
 
     Raises:
         RtecError: the file cannot be read.
@@ -66,7 +68,8 @@ def look_at_foreign(
 
     line.stage("reading the file", 0, 0)
     known = rtec.load_machine(machine) if machine is not None else None
-    proposal = _proposed(path, known, dict(answers))
+    log = {"temperatures": {"file": temperatures}} if temperatures else {}
+    proposal = _proposed(path, known, log, dict(answers))
     if edited is not None:
         proposal = proposal.with_columns(edited)
     if proposal.open or known is None:
@@ -83,11 +86,13 @@ def look_at_foreign(
     return ImportView(proposal, title, over[some], readings, len(m), m.notes)
 
 
-def _proposed(path: Path, machine: "Machine | None", answers: dict[str, str]) -> "ImportProposal":
+def _proposed(
+    path: Path, machine: "Machine | None", preset: Mapping[str, Any], answers: dict[str, str]
+) -> "ImportProposal":
     """The proposal; an answer to a question that another answer took away is forgotten."""
     from rtec.metrology.importing import propose
 
-    first = propose(path, machine)
+    first = propose(path, machine, preset)
     for key, value in answers.items():
         if key in {q.key for q in first.questions}:
             first = first.answered({key: value})

@@ -201,3 +201,39 @@ def test_the_message_says_what_to_do(folder: Path, tmp_path: Path) -> None:
         rtec.diagnose(folder / "model.toml", folder / "laser-x-4.csv", only=["scal"])
     with pytest.raises(rtec.RtecError, match="is read by this fit"):
         rtec.fit(folder / "machine.toml", folder / "laser-x-4.csv", out=folder / "machine.toml")
+
+
+def test_a_printed_result_is_its_verdict_and_its_table(folder: Path) -> None:
+    """Oracle: the page of the report, which the command line prints."""
+    result = rtec.compare(folder / "model.toml", folder / "laser-x-4.csv")
+    page, text = result.page(figures=False), str(result)
+    assert text.startswith(page.lead)
+    head, _, first = (text.removeprefix(page.lead).strip("\n")).partition("\n")
+    assert head.split() == " ".join(page.brief.table.head).split()
+    assert first.split("\n")[0].split()[0] == "laser-x-4"
+    assert len({len(line) for line in text.splitlines()[-2:]}) == 1  # columns are in line
+    for thing in (
+        rtec.load_measurement(folder / "laser-x-4.csv", folder / "machine.toml"),
+        rtec.load_model(folder / "model.toml"),
+    ):
+        assert len(str(thing).splitlines()) < 60
+        assert str(thing) == f"{thing}"
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda m, x: rtec.compare(x, m), "a Measurement is given where a model or its file is expected"),
+        (lambda m, _: rtec.diagnose(m, m), "a Model is given where a measurement or its file is expected"),
+        (rtec.fit, "a Model is given where a machine or its file is expected"),
+        (
+            lambda m, x: rtec.compare(m, [x, 3]),  # type: ignore[list-item]
+            "an int is given where a measurement or its file is expected",
+        ),
+    ],
+)
+def test_arguments_in_the_wrong_order_are_named(call: Any, said: str, folder: Path) -> None:
+    model = rtec.load_model(folder / "model.toml")
+    laser = rtec.load_measurement(folder / "laser-x-4.csv", folder / "machine.toml")
+    with pytest.raises(rtec.RtecError, match=said):
+        call(model, laser)

@@ -38,6 +38,11 @@ def test_every_word_of_an_option_is_on_the_page_whole(page: str) -> None:
             assert " ".join((param.help or "").replace("`", "").split()) in shown
 
 
+def test_the_brackets_of_a_usage_line_come_in_pairs(page: str) -> None:
+    usage = page.split("\n\n", maxsplit=1)[0]
+    assert usage.count("[") == usage.count("]")
+
+
 def test_an_example_is_copied_as_it_is(page: str) -> None:
     """Oracle: the shell's rules: a line that ends with a backslash goes on, quotes keep words together."""
     path = tuple(re.match(r"Usage: rtec ((?:[a-z0-9]+ )+)", page)[1].split())  # type: ignore[index]

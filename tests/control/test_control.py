@@ -124,6 +124,9 @@ def test_a_path_too_long_for_a_socket_is_told(tmp_path: Path) -> None:
 def test_finding_a_daemon(setup: Setup, control: Control, tmp_path: Path) -> None:
     del control
     assert find(setup.path, None, None) == DaemonPlace(socket_path(setup.path))
+    with pytest.raises(RtecError, match=r"other.toml: no such file$"):
+        find(tmp_path / "other.toml", None, None)
+    (tmp_path / "other.toml").touch()
     with pytest.raises(RtecError, match=r"no daemon runs with .*other.toml.*start one with `rtec run .*other.toml`"):
         find(tmp_path / "other.toml", None, None)
 

@@ -256,6 +256,13 @@ def test_resume_waits_for_the_first_readings_behind_it(daemon: FakeDaemon) -> No
     comes = Answers(before, at(60, "no new positions"), at(70_000_000))
     good = carry_out(comes, Order.RESUME, "", clock)  # type: ignore[arg-type]
     assert (good.done, good.text) == (True, "the devices go on from where they are")
+    on_hold = at(70_000_000)
+    on_hold["status"]["mode"] = "hold"
+    still = carry_out(Answers(before, on_hold), Order.RESUME, "", clock)  # type: ignore[arg-type]
+    assert still.done
+    assert still.text == (
+        "the devices go on from where they are; the correction stays held, as ordered: `rtec ctl enable` ends that"
+    )
     stays = Answers(before, at(60, "no new positions"), at(1_200_000_000, "no new positions"))
     missing = carry_out(stays, Order.RESUME, "", clock)  # type: ignore[arg-type]
     assert (missing.done, missing.text) == (False, "resumed, but scales: no new positions")

@@ -334,6 +334,15 @@ def in_fahrenheit(data: list[Row]) -> str:
     return "\n".join(out)
 
 
+@pytest.mark.parametrize("name", ["Spindelmutter X [°C]", "Kugelgewindemutter X [°C]", "X-Spindelmutter °C"])
+def test_a_german_nut_of_an_axis_is_its_sensor(name: str, tmp_path: Path) -> None:
+    """Oracle: the machine's sensor of that nut; `T_z_nut` is another one."""
+    data = nuts_in_the_names(rows()).replace("MutterX", name)
+    proposal = propose(put(tmp_path, data), MACHINE, {}, {"axis": "X"})
+    assert proposal.content["column"]["T_x_nut_degc"]["from"] == name
+    assert not [q for q in proposal.open if q.key.startswith("sensor")]
+
+
 @pytest.mark.parametrize(("written", "answers"), [(nuts_in_the_names, {}), (in_fahrenheit, {"sign": "+1"})])
 def test_a_nut_named_by_its_axis_is_no_position(
     written: Callable[[list[Row]], str], answers: dict[str, str], tmp_path: Path

@@ -127,6 +127,21 @@ def test_of_a_long_table_some_readings_are_previewed(tmp_path: Path) -> None:
     assert foreign.PREVIEWED <= len(view.place) < 2 * foreign.PREVIEWED
 
 
+def test_a_log_of_temperatures_in_the_folder_comes_with_the_readings(tmp_path: Path) -> None:
+    """Oracle: the log's constant temperature, in every reading; the command that does the same."""
+    head = "Zeit;X Soll [mm];Richtung;Abweichung [um]"
+    lines = [f"08:{k // 60:02d}:{k % 60:02d};{20 * (k % 8)};{1 - 2 * (k // 8 % 2)};{k % 3},5" for k in range(600)]
+    (tmp_path / "laser.csv").write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+    log = "".join(f"08:{k:02d}:00;23,5\n" for k in range(12))
+    (tmp_path / "log file.csv").write_text(f"Zeit;T_x_nut [degC]\n{log}", encoding="utf-8")
+    view = foreign.look_at_foreign(Silent(), tmp_path / "laser.csv", MACHINE, {}, None, "log file.csv")
+    assert (view.trouble, view.rows) == ("", 600)
+    assert any("log file.csv" in note for note in view.notes)
+    assert foreign.import_foreign(Silent(), tmp_path / "laser.csv", view.proposal, tmp_path / "made.csv")
+    made = rtec.load_measurement(tmp_path / "made.csv", MACHINE)
+    assert set(made.channels["T_x_nut"]) == {23.5}
+
+
 @pytest.mark.parametrize(("content", "said"), [(b"", "no lines"), (b"\n\n", "no lines"), (b"\xff\xfe\x00", "table")])
 def test_an_empty_file_says_so(content: bytes, said: str, tmp_path: Path) -> None:
     """In a sentence that names the file."""

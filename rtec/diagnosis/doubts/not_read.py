@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation import floor
+from rtec.estimation.candidates import REAL
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, Series
@@ -142,6 +143,33 @@ def unread_beside(measurements: Sequence[Measurement], doubts: Sequence[Doubt] =
         return ""
     said = not_read(joined(m.unread for m in measurements))
     return f" {said}" if said else ""
+
+
+def not_logged_beside(measurements: Sequence[Measurement]) -> str:
+    """A sentence, to follow others, on temperatures that vary in one file and are not in another; else empty.
+
+    An effect of such a temperature is no candidate for any error that the other file reads as well.
+    """
+    sensors = [s for s in measurements[0].machine.sensor_names if any(_varies(m, s) for m in measurements)]
+    without = {m.name: [s for s in sensors if s not in m.channels] for m in measurements}
+    missing = [s for s in sensors if any(s in lacks for lacks in without.values())]
+    if not missing:
+        return ""
+    files = _listed([name for name, lacks in without.items() if lacks])
+    reads = "read" if " and " in files else "reads"
+    return (
+        f" Not tested: effects of {_listed(missing)} on what {files} {reads}, without these temperatures. "
+        f"Leave {files} out, or write the temperature into the file: rtec import --answer {missing[0]}_degc=VALUE."
+    )
+
+
+def _varies(measurement: Measurement, sensor: str) -> bool:
+    values = measurement.channels.get(sensor)
+    return values is not None and float(np.ptp(values)) > REAL["degc"]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def _angles(readings: Readings, source: int) -> dict[str, Floats]:

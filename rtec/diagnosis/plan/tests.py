@@ -20,7 +20,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model, load_model
 from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
-from rtec.tomlfile import read_toml, validated
+from rtec.tomlfile import read_kind, validated
 
 USUAL = (
     "scale",
@@ -49,7 +49,7 @@ def load_test(path: Path, machine: Machine) -> Measurement:
     if path.suffix != ".toml" or path.with_suffix(".csv").exists() or path.with_suffix(".parquet").exists():
         table = path if path.suffix != ".toml" else _table_beside(path)
         return load_measurements([table], machine)[0]
-    content = dict(read_toml(path))
+    content = read_kind(path, "a measurement")
     head = content.pop("measurement", None)
     if not isinstance(head, Mapping) or not isinstance(head.get("instrument"), str):
         raise ConfigError(f"{path}: [measurement] instrument is missing; one of: {', '.join(INSTRUMENTS)}")

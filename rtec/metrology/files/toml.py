@@ -1,5 +1,6 @@
 """The TOML beside a table: what was measured, with what, and what the user accepts about the table."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -7,7 +8,7 @@ from pydantic import Field, model_validator
 
 from rtec.errors import MeasurementError
 from rtec.quantities import Code, SecondsPositive
-from rtec.tomlfile import Strict, read_toml, validated
+from rtec.tomlfile import Strict, read_kind, validated
 
 TABLES = (".csv", ".parquet")
 
@@ -84,6 +85,7 @@ class MeasurementFile(Strict):
     table: Leniency = Leniency()
 
 
+SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 MISSING = """{toml}: no such file. A measurement is a table and a TOML of the same stem that says what was measured:
     [measurement]
     instrument = "laser_linear"
@@ -91,7 +93,7 @@ MISSING = """{toml}: no such file. A measurement is a table and a TOML of the sa
     component = "EXX"
     machine = "{machine}"
     [setup]
-Or make both at once: rtec import {name} --map MAP.toml -o NAME"""
+Or make both at once: rtec import {name} -o NAME"""
 
 
 def read_measurement_toml(path: Path, machine: str, table: Path) -> MeasurementFile:
@@ -101,8 +103,8 @@ def read_measurement_toml(path: Path, machine: str, table: Path) -> MeasurementF
         MeasurementError: the file is missing or wrong; the message says how to write one.
     """
     if not path.exists():
-        raise MeasurementError(MISSING.format(toml=path, machine=machine, name=table))
-    file = validated(MeasurementFile, read_toml(path, MeasurementError), str(path), MeasurementError)
+        raise MeasurementError(MISSING.format(toml=path, machine=machine, name=shlex.quote(str(table))))
+    file = validated(MeasurementFile, read_kind(path, "a measurement", MeasurementError), str(path), MeasurementError)
     if file.measurement.machine != machine:
         raise MeasurementError(
             f"{path}: [measurement] machine is {file.measurement.machine!r}, the machine given is {machine!r}; "
@@ -123,6 +125,11 @@ def find_files(path: Path) -> tuple[Path, Path]:
     if path.suffix in TABLES:
         tables = [path] if path.is_file() else []
     if not tables:
+        if path.suffix.lower() in SPREADSHEETS and path.is_file():
+            way = f"rtec import {shlex.quote(path.with_suffix('.csv').name)} -o NAME"
+            raise MeasurementError(f"{path}: is no measurement yet; save it as CSV, then: {way}")
+        if path.suffix == ".toml" and path.is_file():
+            read_kind(path, "a measurement", MeasurementError)
         what = f"{path}: no such file" if path.suffix in TABLES else f"{path}: no {stem.name}.csv or .parquet there"
         what = f"{path}: is a folder" if path.is_dir() else what
         raise MeasurementError(f"{what}; a measurement is a CSV or Parquet table and a TOML of the same stem")

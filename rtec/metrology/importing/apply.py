@@ -19,8 +19,9 @@ from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.cycles import from_cycles
-from rtec.metrology.importing.map import Column, ImportMap
+from rtec.metrology.importing.map import Column, ImportMap, RowRules, TemperatureLog
 from rtec.metrology.importing.rows import Bools, condition, from_events
+from rtec.metrology.importing.temperature_log import LoggedTemperatures, matched
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
 from rtec.metrology.readers.base import ForeignTable
@@ -93,7 +94,8 @@ def import_table(paths: Path | Sequence[Path], how: ImportMap) -> Imported:
         MeasurementError: a file or the map is wrong; the message has line, column or key, and a remedy.
     """
     files = [paths] if isinstance(paths, Path) else list(paths)
-    parts = [_part(path, how) for path in files]
+    log = _log(how.temperatures, files[0]) if how.temperatures is not None else None
+    parts = [_part(files[0], how, log), *(_next_part(path, files[0], how, log) for path in files[1:])]
     return parts[0].imported if len(parts) == 1 else _joined(parts, how)
 
 
@@ -106,7 +108,29 @@ class _Part:
     began: datetime | None
 
 
-def _part(path: Path, how: ImportMap) -> _Part:
+def _next_part(path: Path, first: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
+    try:
+        return _part(path, how, log)
+    except MeasurementError as e:
+        if "there is no column" not in str(e):
+            raise
+        way = f"{path}: is read like {first.name}, as a further run of it; a log of temperatures goes to --temperatures"
+        raise MeasurementError(f"{e}\n{way}") from e
+
+
+def _log(how: TemperatureLog, beside: Path) -> LoggedTemperatures:
+    """Read a log of temperatures; a relative path starts beside the imported file."""
+    path = beside.parent / how.file
+    _, tables = read_tables(path, how.source)
+    table = chosen(tables, how.source.table, str(path))
+    if how.events is not None:
+        table = from_events(table, how.events.channel, how.events.value, how.events.unit, str(path))
+    keep = _kept(table, how.rows, str(path), [])
+    columns = {n: _column(table, n, c, keep, str(path))[0][keep] for n, c in how.column.items()}
+    return LoggedTemperatures(str(path), seconds(table.rows(keep), how.time, str(path)), columns)
+
+
+def _part(path: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
     reader, tables = read_tables(path, how.source)
     table = chosen(tables, how.source.table, str(path))
     notes = [f"read as {reader}" + ("" if how.source.reader else ", as it looks"), *table.notes]
@@ -117,7 +141,7 @@ def _part(path: Path, how: ImportMap) -> _Part:
     if how.cycles is not None:
         table = from_cycles(table, **how.cycles.model_dump(), source=str(path))
         notes.append(table.notes[-1])
-    keep = _kept(table, how, str(path), notes)
+    keep = _kept(table, how.rows, str(path), notes)
     unused = _unused(table, how, notes)
     columns: dict[str, Floats] = {}
     faults = []
@@ -137,6 +161,10 @@ def _part(path: Path, how: ImportMap) -> _Part:
     notes += clock.notes
     run, remarks = runs(table, how.run, clock, columns, str(path))
     notes += remarks
+    if log is not None:
+        more, remarks = matched(clock, str(path), log)
+        columns |= more
+        notes += remarks
     out: dict[str, Values] = {"run": run, "time_s": clock.time_s, **columns}
     of_circle = {"angle_deg"} if how.measurement.instrument == "ball_bar" else set()
     angles = {n: v for n, v in columns.items() if ROTARY.fullmatch(n) and n not in of_circle}
@@ -283,22 +311,22 @@ def chosen(tables: Sequence[ForeignTable], name: str | None, source: str) -> For
     return tables[names.index(name)]
 
 
-def _kept(table: ForeignTable, how: ImportMap, source: str, notes: list[str]) -> Bools:
+def _kept(table: ForeignTable, rules: RowRules, source: str, notes: list[str]) -> Bools:
     """Rows that fulfil `[rows]`, (n,)."""
     keep = np.ones(len(table), dtype=np.bool_)
-    for name in how.rows.require:
+    for name in rules.require:
         values = table.column(name, source)
         keep &= values != "" if values.dtype == np.object_ else np.isfinite(values.astype(np.float64))
     if not keep.any():
-        raise MeasurementError(f"{source}: no row has a value in all of {', '.join(how.rows.require)}; no row remains")
+        raise MeasurementError(f"{source}: no row has a value in all of {', '.join(rules.require)}; no row remains")
     if dropped := int((~keep).sum()):
-        notes.append(f"{dropped} rows without {', '.join(how.rows.require)} left out")
-    if how.rows.where is not None:
+        notes.append(f"{dropped} rows without {', '.join(rules.require)} left out")
+    if rules.where is not None:
         before = int(keep.sum())
-        keep &= condition(how.rows.where).holds(table, source)
-        notes.append(f"{before - int(keep.sum())} rows left out where not {how.rows.where}")
+        keep &= condition(rules.where).holds(table, source)
+        notes.append(f"{before - int(keep.sum())} rows left out where not {rules.where}")
         if not keep.any():
-            raise MeasurementError(f"{source}: [rows] where = {how.rows.where!r} holds in no row; no row remains")
+            raise MeasurementError(f"{source}: [rows] where = {rules.where!r} holds in no row; no row remains")
     return keep
 
 

@@ -24,12 +24,14 @@ class RowClock:
         restarts: rows at which the file's clock restarts.
         notes: notes for the measurement.
         began: date and time of time 0, where the file has dates; local times are taken as UTC.
+        of_day: the same where the file has times of day only, on a day that means nothing; None without a clock.
     """
 
     time_s: Floats
     restarts: Ints
     notes: tuple[str, ...]
     began: datetime | None = None
+    of_day: datetime | None = None
 
 
 def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
@@ -43,9 +45,9 @@ def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
         order: Floats = np.arange(len(table), dtype=np.float64) * step_s
         made_up = f"the file has no time: its rows are taken as {step_s:g} s apart"
         return RowClock(order, np.empty(0, dtype=np.int64), (made_up,))
-    epoch = None
+    dated = True
     if time.format is not None or time.unit == "iso":
-        time_s, epoch = _of_day(table, time, source)
+        time_s, epoch, dated = _of_day(table, time, source)
     else:
         values = table.numbers(time.column, source)
         unit = time.unit or table.units.get(time.column)
@@ -56,7 +58,7 @@ def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
     if len(lost):
         line = f"{source}: line {table.lines[lost[0]]}: no time ({len(lost)} rows in all)"
         raise MeasurementError(f"{line}; leave them out: [rows] require = [{time.column!r}]")
-    return _put_in_order(time_s, epoch, table, time, source)
+    return _put_in_order(time_s, epoch, table, time, source, dated=dated)
 
 
 STANDS_MM = 1e-3
@@ -75,8 +77,8 @@ def _since(values: Floats, unit: str) -> tuple[Floats, datetime | None]:
         return (values - least) * second, None
 
 
-def _of_day(table: ForeignTable, time: Time, source: str) -> tuple[Floats, datetime | None]:
-    """Seconds since the first time of day, and that first one where it has a date."""
+def _of_day(table: ForeignTable, time: Time, source: str) -> tuple[Floats, datetime | None, bool]:
+    """Seconds since the first time of day, that first one, and whether it has a date."""
     name, pattern = time.column or "", time.format
     texts = table.column(name, source)
     if time.date is not None:
@@ -97,10 +99,12 @@ def _of_day(table: ForeignTable, time: Time, source: str) -> tuple[Floats, datet
             raise MeasurementError(f"{line} is no time ({e}); {way}") from e
         first = first or moment
         out[i] = (moment - first).total_seconds()
-    return out, first if dated else None
+    return out, first, dated
 
 
-def _put_in_order(time_s: Floats, epoch: datetime | None, table: ForeignTable, time: Time, source: str) -> RowClock:
+def _put_in_order(
+    time_s: Floats, epoch: datetime | None, table: ForeignTable, time: Time, source: str, *, dated: bool
+) -> RowClock:
     notes = []
     falls = np.flatnonzero(np.diff(time_s) < 0) + 1
     if len(falls) and not time.restarts:
@@ -115,15 +119,14 @@ def _put_in_order(time_s: Floats, epoch: datetime | None, table: ForeignTable, t
         later[falls] = time_s[falls - 1] + time.restart_gap_s - time_s[falls]
         time_s = time_s + np.cumsum(later)
         notes.append(f"the clock starts again {len(falls)} times; {time.restart_gap_s:g} s are put between")
-    began = None
-    if epoch is not None and len(time_s):
-        began = epoch + timedelta(seconds=float(time_s[0]))
-        notes.append(f"time 0 is {began:%Y-%m-%d %H:%M:%S}")
+    first = epoch + timedelta(seconds=float(time_s[0])) if epoch is not None and len(time_s) else None
+    if first is not None and dated:
+        notes.append(f"time 0 is {first:%Y-%m-%d %H:%M:%S}")
         time_s = time_s - time_s[0]
     elif time.from_zero and len(time_s) and time_s[0] != 0.0:
         notes.append(f"time 0 is {time_s[0]:.10g} s of the file")
         time_s = time_s - time_s[0]
-    return RowClock(time_s, falls, tuple(notes), began)
+    return RowClock(time_s, falls, tuple(notes), first if dated else None, first)
 
 
 def runs(

@@ -192,6 +192,30 @@ class Cycles(Strict):
     reading: Literal["deviation", "actual"] = "deviation"
 
 
+class TemperatureLog(Strict):
+    """`[temperatures]`: a log of temperatures in a file of its own; it is matched by date or time of day.
+
+    Attributes:
+        file: path of the log; a relative one starts at the folder of the imported file.
+        source, events, rows, time: as in the map.
+        column: where each SENSOR_degc comes from.
+    """
+
+    file: str
+    source: SourceOptions = SourceOptions()
+    events: EventLog | None = None
+    rows: RowRules = RowRules()
+    time: Time
+    column: dict[str, Column]
+
+    @field_validator("column")
+    @classmethod
+    def _degc(cls, column: dict[str, Column]) -> dict[str, Column]:
+        if wrong := [n for n in column if not n.endswith("_degc")]:
+            raise ValueError(f"{wrong[0]!r} is no temperature; a log gives SENSOR_degc")
+        return column
+
+
 class ImportMap(Strict):
     """A whole map.
 
@@ -205,6 +229,7 @@ class ImportMap(Strict):
         run: what begins a new run.
         rows: which rows are used.
         column: where each column of the measurement comes from, by its name there.
+        temperatures: log of temperatures in a file of its own.
     """
 
     source: SourceOptions = SourceOptions()
@@ -216,6 +241,7 @@ class ImportMap(Strict):
     run: Run = Run()
     rows: RowRules = RowRules()
     column: dict[str, Column]
+    temperatures: TemperatureLog | None = None
 
     @field_validator("column")
     @classmethod

@@ -177,6 +177,10 @@ class ImportProposal:
         """
         if self.open:
             ways = [f"{self.path}: {q.text} Answer: {_way(q)}" for q in self.open]
+            columns = self.content.get("column", {})
+            if columns and all(n.endswith("_degc") for n in columns):
+                way = f"import the file of the readings, with --temperatures {self.path.name}"
+                ways.append(f"{self.path}: only temperatures are in it; {way}")
             raise MeasurementError("\n".join(ways))
         return validated(ImportMap, self.content, str(self.path), MeasurementError)
 
@@ -195,6 +199,9 @@ class ImportProposal:
         lines = [part for line in self._lines() for part in _wrapped(clean(line))]
         content = {k: v for k, v in self.content.items() if v != {}}
         return "\n".join([*(f"# {x}".rstrip() for x in lines), "", NUMBERS.sub(_one_line, tomli_w.dumps(content))])
+
+    def __str__(self) -> str:
+        return self.toml()
 
     def _lines(self) -> list[str]:
         more = "" if self.whole else " (the first; there are more)"
@@ -305,13 +312,14 @@ def propose(
     if roles.bar_mm is not None:
         guesses = (*guesses, *_less_the_bar(content["column"]["reading_um"], content["setup"], roles.bar_mm, str(path)))
     content["column"] = _of_probes(content["column"], content["setup"])
-    content["column"] |= _constants(content["column"], measurement, machine, asker)
+    in_log, logged = _temperatures(preset.get("temperatures"), path, content, roles, asker)
+    content["column"] |= _constants(content["column"] | in_log, measurement, machine, asker)
     letters = [n[8].upper() for n in content["column"] if re.fullmatch(r"reading_[xyz]_um", n)]
     if kind is INSTRUMENTS["tool_tip"] and 0 < len(letters) < 3:
         content["setup"].setdefault("directions", letters)
     shown = {**roles.settled, **{f"setup.{k}": v for k, v in content["setup"].items()}, **measurement}
     shown |= {n: c.get("value", f"column {c.get('from')}") for n, c in content["column"].items()}
-    guesses = (*guesses, *asker.unasked(shown, kind))
+    guesses = (*guesses, *logged, *asker.unasked(shown, kind))
     if asker.assumed:
         notes = [_assumption(q, a) for q, a in asker.assumed]
         content["measurement"]["notes"] = [*content["measurement"].get("notes", ()), *notes]
@@ -572,6 +580,47 @@ def _less_the_bar(column: dict[str, Any], setup: Mapping[str, Any], bar_mm: floa
             "reading", column["from"], f"the length of the bar: its nominal length, {nominal_mm:.10g} mm, is taken off"
         )
     ]
+
+
+def _temperatures(
+    preset: Any, beside: Path, content: dict[str, Any], own: ColumnRoles, asker: "_Answers"
+) -> tuple[dict[str, Any], tuple[Guess, ...]]:
+    """Add `[temperatures]`, a log in a file of its own, to a map; give the log's columns, and conclusions.
+
+    Args:
+        preset: known keys of `[temperatures]`, `file` at least; None: there is no log.
+        beside: the imported file; a relative path of the log starts at its folder.
+        content: the map; columns that the imported file has itself are not taken from the log.
+        own: roles of the imported file's columns, which get what the log shows itself.
+        asker: asks for sensors that the names do not tell.
+
+    Raises:
+        MeasurementError: the log has no times or no temperatures.
+    """
+    if preset is None:
+        return {}, ()
+    if not isinstance(preset, Mapping) or not isinstance(preset.get("file"), str):
+        raise MeasurementError(f"{beside}: [temperatures] file is missing: the path of the log")
+    path = beside.parent / preset["file"]
+    read = _read(path, dict(preset.get("source", {})), asker)
+    table = chosen(read.tables, preset.get("source", {}).get("table"), str(path))
+    table, events = _events(table, preset.get("events"), str(path))
+    is_log = events is not None or read.name == "json_lines"
+    roles = ColumnRoles(table, own.machine, preset, asker.ask, is_log=is_log)
+    found = roles.log()
+    if "column" not in found["time"]:
+        raise MeasurementError(f"{path}: no column of times; a log of temperatures has one, with the time of day")
+    asked = any(q.key.startswith(("sensor of", "unit of")) for q in asker.open)
+    if not found["column"] and not asked:
+        raise MeasurementError(f"{path}: no column of temperatures of a sensor")
+    there = content["column"]
+    taken = {n: c for n, c in found["column"].items() if n not in there}
+    source = {"file": preset["file"], "source": read.source, **({"events": events} if events else {})}
+    content["temperatures"] = source | found | {"column": taken}
+    own.settled |= roles.settled
+    guesses = [Guess("temperatures", c["from"], f"{n}, a column of {path.name}") for n, c in taken.items()]
+    guesses += [Guess("temperatures", None, f"{n} is in the file itself") for n in found["column"] if n in there]
+    return taken, tuple(guesses)
 
 
 CONSTANT = re.compile(r"[a-z][a-z0-9]*_mm|\w+_degc")

@@ -139,6 +139,15 @@ class ColumnRoles:
             out["rows"] = rows
         return out | {"column": self.columns}
 
+    def log(self) -> dict[str, Any]:
+        """`[temperatures]` without the file: the time, and the columns of temperatures."""
+        time = dict(self.preset.get("time", {})) or self._time()
+        self._temperatures()
+        out: dict[str, Any] = {"time": time, "column": {n: c for n, c in self.columns.items() if n.endswith("_degc")}}
+        if rows := dict(self.preset.get("rows", {})) or self._rows(time.get("column")):
+            out["rows"] = rows
+        return out
+
     def _free(self, *, texts: bool = False) -> list[str]:
         return [n for n, v in self.table.columns.items() if n not in self.use and (v.dtype == np.object_) == texts]
 

@@ -142,7 +142,8 @@ DIRECTIONS: Final = {
     "increasing": 1, "decreasing": -1, "inc": 1, "dec": -1, "↑": 1, "↓": -1, "→": 1, "←": -1, "−": -1, "–": -1,
 }  # fmt: skip
 PLACES: Final = {
-    "mutter": "nut", "bett": "bed", "luft": "air", "umgebung": "air", "raum": "air", "ambient": "air", "room": "air",
+    "mutter": "nut", "spindelmutter": "nut", "kugelgewindemutter": "nut",
+    "bett": "bed", "luft": "air", "umgebung": "air", "raum": "air", "ambient": "air", "room": "air",
     "spindel": "spindle", "vorn": "front", "vorne": "front", "hinten": "rear", "schlitten": "carriage",
     "spindelstock": "headstock", "spindelkasten": "headstock", "öl": "oil", "gestell": "frame", "ständer": "column",
     "säule": "column", "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale",

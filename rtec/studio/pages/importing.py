@@ -53,7 +53,7 @@ def build(session: TabSession) -> None:
     """The page."""
     file = session.foreign
     if file is not None and file.looked is not None and file.machine != session.machine:
-        file = session.foreign = ForeignFile(file.name)
+        file = session.foreign = ForeignFile(file.name, temperatures=file.temperatures)
     heading(
         f"Import {clean(file.name)}" if file is not None else "Import", session if file is not None else None, "import"
     )
@@ -75,7 +75,7 @@ async def _look(session: TabSession, other: ForeignFile | None = None, beside: s
         return
     machine = session.machine
     path = session.folder.existing(file.name)
-    given = path, session.machine_path if machine else None, file.answers, file.edited
+    given = path, session.machine_path if machine else None, file.answers, file.edited, file.temperatures
     found = await session.work("Reading", foreign.look_at_foreign, *given, beside=beside)
     if found is None:
         return
@@ -99,11 +99,27 @@ def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                     f"{counted(len(p.columns), 'column')}")  # fmt: skip
         for line in (*p.notes, *p.conclusions):
             Words("p", line, "small")
+        _temperatures(session, file)
     if file.answers or any(_is_asked(q) for q in p.questions):
         _questions(session, file, view)
     _columns(session, file, view)
     _preview(session, view)
     _finish(session, file, view)
+
+
+def _temperatures(session: TabSession, file: ForeignFile) -> None:
+    """A menu of the other tables in the folder, of which one may be the log of temperatures."""
+    others = {n: clean(n) for n in session.listing.foreign if n != file.name}
+    if not others:
+        return
+
+    async def choose(event: events.ValueChangeEventArguments[str]) -> None:
+        await _look(session, replace(file, temperatures=event.value), "temperatures")
+
+    names = {"": "in this file, or none", **others}
+    chosen = file.temperatures if file.temperatures in names else ""
+    made = ui.select(names, value=chosen, label="Temperatures", on_change=choose)
+    at_fault(session, "temperatures", made.props("outlined").style("min-width: min(22rem, 100%)"))
 
 
 def _is_asked(question: "ImportQuestion") -> bool:
@@ -173,7 +189,7 @@ def _how(question: "ImportQuestion") -> str:
 
 
 async def _forget_answers(session: TabSession, file: ForeignFile) -> None:
-    await _look(session, ForeignFile(file.name))
+    await _look(session, ForeignFile(file.name, temperatures=file.temperatures))
 
 
 def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
@@ -328,4 +344,5 @@ def import_command(session: TabSession, file: ForeignFile, out: str) -> str:
     machine = ["--machine", Named(session.machine)] if session.machine else []
     answers = [w for k, v in file.answers.items() for w in ("--answer", f"{k}={v}")]
     how = ["--map", Named(f"{out}-map.toml")] if file.edited is not None else answers
-    return shell(["rtec", "import", Named(file.name), *how, *machine, "-o", Named(out)])
+    log = ["--temperatures", Named(file.temperatures)] if file.temperatures and file.edited is None else []
+    return shell(["rtec", "import", Named(file.name), *log, *how, *machine, "-o", Named(out)])

@@ -264,7 +264,10 @@ def _machine(session: TabSession) -> None:
                 names = {n: clean(n) for n in session.listing.machines}
                 made = ui.select(names, value=session.machine or None, label="Machine file", on_change=choose)
             else:
-                Words("p", "No machine file in the folder. Drop one above, or begin with one that comes with rtec:")
+                Words(
+                    "p",
+                    "No machine file in the folder. Drop one above (rtec init writes one), or begin with one of these:",
+                )
                 shipped = sorted(p.name for p in (SHIPPED / "machines").glob("*.toml"))
                 made = ui.select(shipped, label="Machine that comes with rtec", on_change=take)
             made.props("outlined").style("min-width: min(22rem, 100%)")

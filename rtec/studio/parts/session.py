@@ -64,6 +64,7 @@ class ForeignFile:
         edited: columns of the map that the user changed; None: as proposed.
         looked: preview; None before the first one.
         machine: file of the machine for whose axes and sensors the preview was made; empty: none.
+        temperatures: name of the log of temperatures that comes with it; empty: none.
     """
 
     name: str
@@ -71,6 +72,7 @@ class ForeignFile:
     edited: Mapping[str, Mapping[str, Any]] | None = None
     looked: ImportView | None = None
     machine: str = ""
+    temperatures: str = ""
 
 
 @dataclass(frozen=True)

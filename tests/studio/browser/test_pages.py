@@ -199,6 +199,24 @@ def test_a_narrow_window_cuts_nothing_and_lays_nothing_over_another(whole: Watch
         page.set_viewport_size({"width": 1280, "height": 960})
 
 
+def test_on_a_telephone_the_bars_of_an_axis_stay_in_their_card(whole: Watched) -> None:
+    """Oracle: the boxes: each number ends before its card does, and begins after its bar."""
+    page = whole.page
+    show(page, "Live")
+    page.set_viewport_size({"width": 390, "height": 844})
+    try:
+        card = page.locator(".card", has=page.locator(".bar")).first
+        page.wait_for_function("document.documentElement.scrollWidth <= 390")
+        edge = card.evaluate(BOX)["right"]
+        for bar in card.locator(".bar").all():
+            track, value = bar.locator(".track").evaluate(BOX), bar.locator("b").evaluate(BOX)
+            assert track["right"] <= value["left"]
+            assert value["right"] <= edge
+            assert track["right"] - track["left"] > 60.0
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 960})
+
+
 @pytest.mark.parametrize("width", [390, 1280])
 def test_the_buttons_of_a_plot_lie_above_its_legend(whole: Watched, width: int) -> None:
     """Oracle: the boxes of the buttons and of the words; and on a screen of 800 px half of the first plot is seen."""
