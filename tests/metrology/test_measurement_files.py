@@ -396,6 +396,24 @@ def test_parquet_faults_are_told_by_row(tmp_path: Path, columns: Any, said: str)
     assert said in fault(as_parquet(tmp_path, **columns))
 
 
+def test_temperatures_that_would_be_in_range_in_fahrenheit_are_asked_about(tmp_path: Path) -> None:
+    """20 to 52 °C in °F; one hot sensor among cool readings is a fault of its own."""
+    degf = [68.0 + 5.0 * i for i in range(12)]
+    assert "if it is in °F, convert all to (T - 32) / 1.8" in fault(
+        as_parquet(tmp_path, T_bed_degc=degf, T_spindle_degc=degf)
+    )
+    assert "°F" not in fault(as_parquet(tmp_path, T_bed_degc=[20.0] * 11 + [125.0]))
+
+
+def test_a_direction_that_contradicts_the_positions_is_told(tmp_path: Path) -> None:
+    x, run = [0.0, 10.0, 20.0, 30.0, 20.0, 10.0] * 2, [1.0] * 12
+    ways = [0.0 if i == 0 else 1.0 if x[i] > x[i - 1] else -1.0 for i in range(12)]
+    for sign, told in ((-1.0, True), (1.0, False)):
+        path = as_parquet(tmp_path, run=run, x_mm=x, dir_x=[sign * w for w in ways])
+        notes = load_measurement(path, machine()).notes
+        assert ("dir_x contradicts the order of x_mm in 11 of 11 moves: right sign?" in notes) is told
+
+
 def test_parquet_takes_integers_and_small_floats(tmp_path: Path) -> None:
     path = as_parquet(tmp_path, run=pa.array([1] * 12, pa.int8()), z_mm=pa.array([1.5] * 12, pa.float32()))
     assert load_measurement(path, machine()).channels["z"].tolist() == [1.5] * 12

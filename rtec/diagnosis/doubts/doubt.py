@@ -7,7 +7,8 @@ Kind = Literal[
     "wrong_scale", "wrong_gain", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction",
     "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
-    "unexplained", "two_levels", "few_targets", "too_few", "cycle", "not_read",
+    "unexplained", "two_levels", "few_targets", "too_few", "cycle", "not_read", "swapped_axes", "wrong_direction",
+    "wrong_rate", "far_temperatures", "outside_travel", "scatter",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -27,6 +28,11 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
         "between_files",
         "dead_sensor",
         "not_read",
+        "swapped_axes",
+        "wrong_direction",
+        "wrong_rate",
+        "far_temperatures",
+        "outside_travel",
     }
 )
 """Doubts beside which no effect of the machine is named."""
@@ -37,6 +43,7 @@ DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {
     "too_few",
     "cycle",
     "unexplained",
+    "scatter",
 }
 """Doubts beside which it is undetermined whether an effect is missing."""
 
@@ -68,3 +75,8 @@ class Doubt:
     def blames_no_effect(self) -> bool:
         """Whether no effect of the machine is named beside it."""
         return self.fatal and self.kind in BLAMES_NO_EFFECT
+
+    @property
+    def decides_nothing(self) -> bool:
+        """Whether it is undetermined beside it if an effect is missing."""
+        return self.kind in DECIDES_NOTHING and (self.fatal or self.kind != "outside_travel")

@@ -71,6 +71,8 @@ def edited_record(judged: Judgement, measured: Floats, predicted: Floats) -> Edi
         return None
     if not _runs_decide(judged, found):
         return None
+    if found.kind in ("swapped_axes", "wrong_rate"):
+        return found if _by_far(judged, found, usual) else None
     if found.kind == "late_temperatures" and not met:
         return _by_another_clock(judged, found, usual)
     if found.kind == "wrong_channel":
@@ -80,6 +82,16 @@ def edited_record(judged: Judgement, measured: Floats, predicted: Floats) -> Edi
         drifts = found.residual > NEAR_FLOOR * judged.noise_floor
         return None if drifts and found.kind == "swapped_sensors" and _effect_does(judged, found) else found
     return found if found.fatal and as_in_the_fit(judged, found) else None
+
+
+def _by_far(judged: Judgement, found: Edit, usual: float | None) -> bool:
+    """Whether an edit of readings that the model was not fitted to leaves a tenth, or what the fit left, and no single
+    effect does.
+    """
+    if any(m.fingerprint in judged.model.measurements.values() for m in judged.readings.measurements):
+        return False
+    near = max(BY_FAR * judged.residual, NEAR_FIT * max(usual or 0.0, judged.noise_floor))
+    return found.residual <= min(BETTER * judged.residual, near) and not _as_well(judged, found.residual)
 
 
 def moves(readings: Readings, s: Series) -> bool:

@@ -3,7 +3,7 @@
 import itertools
 import math
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 
@@ -39,6 +39,11 @@ LATE, LATES = 1 / 3, 41
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
 NO_UNIT = (5.0, 0.2, 2.0, 0.5)
 """Factors that no unit of length has: of a position the model's own numbers, out of date, look so."""
+CLOCK = "time_s"
+RATES = ((60.0, "minutes"), (3600.0, "hours"), (1e-3, "milliseconds"), (1e3, "thousands of seconds"))
+OTHER_RATES, APART = (0.25, 4.0), 1.5
+"""Units that a time may be in. A rate is asked about where rates that no unit has, this many times it, leave more than
+the second factor of what it leaves: a delay that only disappeared, or that never ends, does not tell the rate."""
 BEYOND = 0.05
 """Share of the travel by which a position may exceed it."""
 ABOVE, NEAR_FIT, HALF = 1.5, 1.15, 0.5
@@ -54,8 +59,9 @@ Replaced = Mapping[str, Callable[[State], Floats]]
 
 def with_channels(state: State, channels: Replaced) -> State:
     """A state with some channels replaced."""
-    changed = {**state.channels, **{c: make(state) for c, make in channels.items()}}
-    return State(state.machine, state.time_s, changed, state.reference_degc)
+    changed = {**state.channels, **{c: make(state) for c, make in channels.items() if c != CLOCK}}
+    time_s = channels[CLOCK](state) if CLOCK in channels else state.time_s
+    return State(state.machine, time_s, changed, state.reference_degc)
 
 
 @dataclass(frozen=True)
@@ -97,6 +103,14 @@ class Edit:
         return Doubt(self.kind, message, f"Check {self.check} before a new effect is blamed.", fatal=self.fatal)
 
 
+def _swapped(pairs: Iterable[tuple[str, str]]) -> Replaced:
+    """Channels exchanged in pairs."""
+    out: dict[str, Callable[[State], Floats]] = {}
+    for one, two in pairs:
+        out |= {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}  # type: ignore[misc]
+    return out
+
+
 def _celsius(fahrenheit: Floats) -> Floats:
     return (fahrenheit - 32.0) / 1.8
 
@@ -118,7 +132,10 @@ class Edits:
 
     def possible(self) -> list[Edit]:
         """Every edit that is possible here."""
-        return [*self._factors(), *self._exchanged(), *self._moved(), *self._turned(), *self._late()]
+        return [
+            *self._factors(), *self._fahrenheit(), *self._exchanged(), *self._axes_exchanged(), *self._moved(),
+            *self._turned(), *self._late(), *self._other_rate(),
+        ]  # fmt: skip
 
     def residuals(self, edits: Sequence[Replaced]) -> Floats:
         """Root mean square of the residual with some channels replaced, (edits,); infinite where that is impossible.
@@ -139,15 +156,17 @@ class Edits:
         """Residual of the model with some channels replaced, (m,); None where that is impossible."""
         states = []
         for state in self.readings.states:
-            if any(c not in state.channels for c in channels):
+            if any(c not in state.channels for c in channels if c != CLOCK):
                 return None
             states.append(with_channels(state, channels))
         changed_readings = self.readings.with_states(states)
         left = self.readings.values.copy()
+        # Lever arms depend on the positions, and delays on the time.
+        every = CLOCK in channels or any(a.channel in channels for a in self.model.machine.axes)
         try:
             for fitted, part in zip(self.model.effects, self.parts, strict=True):
                 touched = set(fitted.effect.channels(self.model.machine)) & set(channels)
-                left -= self._part(fitted, changed_readings) if touched else part
+                left -= self._part(fitted, changed_readings) if every or touched else part
         except ModelError:
             return None
         return left if np.isfinite(left).all() else None
@@ -178,6 +197,25 @@ class Edits:
                 if AS_GOOD * float(residual) > still or not self._as_warm_as_others(channel, _celsius):
                     continue
                 yield Edit(float(residual), "wrong_channel", edit, suspect, check, celsius, of_unit=True)
+
+    def _fahrenheit(self) -> Iterator[Edit]:
+        """All temperatures in °F: each is in its sensor's range either way."""
+        names = [n for n in self.model.machine.sensor_names if all(n in s.channels for s in self.readings.states)]
+        if len(names) < 2 or not self.read & set(names):
+            return
+        celsius: Replaced = {n: lambda s, c=n: _celsius(s.channels[c]) for n in names}  # type: ignore[misc]
+        for name in names:
+            low, high = self.model.machine.sensors[self.model.machine.sensor_place(name)].range_degc
+            shown = np.concatenate([celsius[name](s) for s in self.readings.states])
+            if np.nanmin(shown) < low or np.nanmax(shown) > high:
+                return
+        still = min(self._without_effects(n) for n in names)
+        residual = float(self.residuals([celsius])[0])
+        if AS_GOOD * residual <= still:
+            suspect = "they may be in °F"
+            yield Edit(
+                residual, "wrong_channel", "all temperatures read as °F", suspect, "their unit", celsius, of_unit=True
+            )
 
     def _without_change(self, channel: str) -> float:
         """Root mean square of the residual if a channel had its median throughout."""
@@ -244,6 +282,43 @@ class Edits:
                 if AS_GOOD * left > min(self._without_effects(one), self._without_effects(two)):
                     continue
                 yield Edit(left, "swapped_sensors", edit, suspect, "their labels", swap)
+
+    def _axes_exchanged(self) -> Iterator[Edit]:
+        """The positions of two axes exchanged, with their directions or without."""
+        axes = [a for a in self.model.machine.axes if all(a.channel in s.channels for s in self.readings.states)]
+        for one, two in itertools.combinations(axes, 2):
+            places = {a.channel: [s.channels[a.channel] for s in self.readings.states] for a in (one, two)}
+            if not {one.channel, two.channel} & self.read or not (
+                self._in_travel(one, places[two.channel]) and self._in_travel(two, places[one.channel])
+            ):
+                continue
+            swaps = [_swapped(((one.channel, two.channel),))]
+            pairs = zip(one.moving_channels, two.moving_channels, strict=True)
+            there = [p for p in pairs if all(c in s.channels for s in self.readings.states for c in p)]
+            swaps += [_swapped(there)] if len(there) > 1 else []
+            left = self.residuals(swaps)
+            best, found = swaps[int(np.argmin(left))], float(np.min(left))
+            if AS_GOOD * found > min(self._without_effects(one.channel), self._without_effects(two.channel)):
+                continue
+            edit = f"{one.channel} and {two.channel} exchanged"
+            yield Edit(found, "swapped_axes", edit, "their columns may be exchanged", "both columns", best)
+
+    def _other_rate(self) -> Iterator[Edit]:
+        """The time in another unit, where delays make it matter."""
+        current = self._current
+
+        def at(rate: float) -> Replaced:
+            return {CLOCK: lambda s: rate * s.time_s}
+
+        for rate, unit in RATES:
+            found = float(self.residuals([at(rate)])[0])
+            if found > HALF * current:
+                continue
+            if APART * found > float(np.min(self.residuals([at(rate * other) for other in OTHER_RATES]))):
+                continue
+            by = f"{rate:g}" if rate >= 1.0 else f"1/{1.0 / rate:g}"
+            edit, suspect = f"time_s times {by}", f"it may be in {unit}"
+            yield Edit(found, "wrong_rate", edit, suspect, "that column", at(rate), of_unit=True)
 
     def _moved(self) -> Iterator[Edit]:
         for axis in self.model.machine.axes:

@@ -1,4 +1,4 @@
-"""Readings that depend on the angle of a rotary axis, which no model has: any other name would be wrong."""
+"""Readings that depend on a column that nothing reads, as the angle of a rotary axis: any other name would be wrong."""
 
 import math
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
+from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.measurement import Measurement
@@ -24,6 +25,19 @@ ABOVE_NOISE = 1.5
 """A residual below this many times noise and slow drift together depends on nothing."""
 READINGS_PER_NUMBER = 3
 NEXT = "Measure with each rotary axis at one angle, or leave these readings out."
+
+FOLLOWS, LIKE_RANKS, SAME_SLOPE = 0.9, 0.8, 0.75
+"""Correlation of the residual with a column from which on it follows it, in the record and in both of its halves; of
+their ranks; and smaller slope of a half over the larger."""
+OWN = 0.25
+"""Least share of its mean square, and of the residual's, that a column has beside all channels that are read."""
+COPY = 0.9995
+"""Correlation from which on a column is the reading once more."""
+ENOUGH = 40
+HOLD = (
+    "No effect can read that column. Hold constant what it shows while you measure, or leave these readings out; a "
+    "temperature can be a sensor of the machine file."
+)
 
 
 def turned_with(judged: Judgement) -> list[Doubt]:
@@ -52,6 +66,75 @@ def turned_with(judged: Judgement) -> list[Doubt]:
         f"{there} to {here} {unit}. rtec has no rotary axes, so that any name of this error would be wrong."
     )
     return [Doubt("not_read", message, NEXT, fatal=True)]
+
+
+def follows(judged: Judgement) -> list[Doubt]:
+    """A doubt where the residual follows a column that nothing reads, beside all channels that are read."""
+    readings = judged.readings
+    names = set.intersection(*(set(m.unread) for m in readings.measurements))
+    if not names or len(readings) < ENOUGH:
+        return []
+    known, found = _known(readings), []
+    for name in sorted(n for n in names if not is_rotary(n)):
+        column = np.concatenate([readings.measurements[s.source].unread[name][s.row] for s in readings.series])
+        if np.isfinite(column).all() and np.ptp(column) > 0.0:
+            left = _beside(judged, floor.cleaned(readings, column / np.ptp(column)), known)
+            found += [] if left is None else [(left, name)]
+    if not found:
+        return []
+    after, name = min(found)
+    there, here = sizes(judged.residual, after)
+    every = joined({name: m.unread[name]} for m in readings.measurements)
+    message = (
+        f"The residual follows {ranged(name, every[name])}, which rtec does not read: a straight line in it lowers it "
+        f"from {there} to {here} {ERROR_UNITS[judged.unit]}."
+    )
+    return [Doubt("not_read", message, HOLD, fatal=True)]
+
+
+def _known(readings: Readings) -> Floats:
+    """Positions, directions, temperatures and the time, less what the instruments cannot know, (m, k)."""
+    machine = readings.machine
+    names = [c for a in machine.axes for c in (a.channel, a.direction_channel)]
+    values = [readings.channel(n) for n in (*names, *machine.sensor_names, "time_s")]
+    values = [v / np.ptp(v) for v in values if np.isfinite(v).all() and np.ptp(v) > 0.0]
+    return floor.cleaned(readings, np.stack(values, axis=1))
+
+
+def _beside(judged: Judgement, column: Floats, known: Floats) -> float | None:
+    """What a column that the residual follows leaves of it; None where it does not follow it.
+
+    Args:
+        judged: the model.
+        column: less what the instruments cannot know, (m,).
+        known: the channels that are read, (m, k).
+    """
+    whole = np.stack([judged.left, floor.cleaned(judged.readings, judged.readings.values), column], axis=1)
+    own = whole - known @ solve(known, whole)
+    left, read, beside = own.T
+    if beside @ beside < OWN * (column @ column) or left @ left < OWN * (judged.left @ judged.left):
+        return None
+    if abs(_correlation(read, beside)) > COPY or abs(_correlation(_ranks(left), _ranks(beside))) < LIKE_RANKS:
+        return None
+    late = np.concatenate([s.time_s > np.median(s.time_s) for s in judged.readings.series])
+    slopes = []
+    for part in (np.ones(len(late), dtype=np.bool_), late, ~late):
+        if abs(_correlation(left[part], beside[part])) < FOLLOWS:
+            return None
+        slopes.append(float(left[part] @ beside[part]) / float(beside[part] @ beside[part]))
+    if min(slopes[1:], key=abs) / max(slopes[1:], key=abs) < SAME_SLOPE:
+        return None
+    rest = judged.pooled(judged.left - column * float(judged.left @ column) / float(column @ column))
+    return rest if rest**2 < MOSTLY * judged.residual**2 else None
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    return float(one @ other) / max(float(np.sqrt((one @ one) * (other @ other))), 1e-300)
+
+
+def _ranks(values: Floats) -> Floats:
+    ranks = np.asarray(np.argsort(np.argsort(values)), dtype=np.float64)
+    return np.asarray(ranks - ranks.mean())
 
 
 def unread_beside(measurements: Sequence[Measurement], doubts: Sequence[Doubt] = ()) -> str:

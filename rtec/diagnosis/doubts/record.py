@@ -4,14 +4,16 @@ Those that are `fatal` precede every answer, and no effect is named beside a con
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts.doubt import ALONE, Doubt
+from rtec.diagnosis.doubts.doubt import ALONE, Doubt, Kind
 from rtec.diagnosis.doubts.edited import BETTER, edited_record, moves
-from rtec.diagnosis.doubts.not_read import turned_with
+from rtec.diagnosis.doubts.edits import Edit
+from rtec.diagnosis.doubts.implausible import implausible
+from rtec.diagnosis.doubts.not_read import follows, turned_with
 from rtec.effects import State
 from rtec.estimation import floor
 from rtec.estimation.contradiction import contradiction
@@ -37,7 +39,16 @@ DISAGREES, INSIDE = 3.0, 0.2
 fit: at least this share of the file."""
 UNEXPLAINED = 2.0
 """A residual of this many times noise and slow drift together is neither; none of 84 quiet records had 1.7 times."""
+SCATTERS = 4.0
+"""Neighbouring readings that scatter by this many times the noise of the model's fit are asked about."""
 FEW_RUNS = 4
+WHY: Mapping[Kind, tuple[Kind, ...]] = {
+    "wrong_direction": ("wrong_channel",),
+    "wrong_rate": ("wrong_rate",),
+    "far_temperatures": ("wrong_channel",),
+    "outside_travel": ("moved_origin", "turned_axis", "wrong_channel", "swapped_axes"),
+}
+"""Faults of a channel that explain what no machine can have recorded."""
 
 
 def doubts(judged: Judgement) -> tuple[Doubt, ...]:
@@ -52,7 +63,9 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and so is the prediction
     one_factor = edited is not None and edited.kind == "wrong_gain"  # explains why files differ, too
-    turned = [] if found else turned_with(judged)
+    impossible = [d for d in implausible(judged) if edited is None or not _why(edited, d)]
+    found += [d for d in impossible if d.fatal]
+    turned = [] if found else turned_with(judged) or follows(judged)
     if not found and not turned and not one_factor and (odd := contradiction(judged)) is not None:
         step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}.{'' if odd.turned else f' {ALONE}'}"
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
@@ -66,9 +79,15 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += [Doubt("end_targets", f"{ends.message}.", step, fatal=True) for ends in judged.given.ends]
     if not found:
         found += _disagree(judged)
+    found += [d for d in impossible if not d.fatal]
     found += [Doubt("one_pass", p.message, p.next_step, fatal=p.one_way) for p in one_pass(readings)]
     found += _few_runs(readings)
     return tuple(found)
+
+
+def _why(edited: Edit, impossible: Doubt) -> bool:
+    """Whether a fault of a channel is why something is in the record that no machine can have done."""
+    return edited.fatal and edited.kind in WHY.get(impossible.kind, ())
 
 
 def _levels(judged: Judgement) -> list[Doubt]:
@@ -139,6 +158,27 @@ def unexplained(judged: Judgement) -> Doubt | None:
     )
     step = "`rtec compare --report` draws it over each variable."
     return Doubt("unexplained", message, f"Diagnose each file alone. {step}" if several else step, fatal=True)
+
+
+def scatters(judged: Judgement) -> Doubt | None:
+    """Doubt where neighbouring readings scatter far more than at the model's fit, and than the display's steps."""
+    model, readings = judged.model, judged.readings
+    again = any(m.fingerprint in model.measurements.values() for m in readings.measurements)
+    if again or judged.unit != "um" or not model.noise_um or judged.noise_floor < SCATTERS * model.noise_um:
+        return None
+    steps = [np.diff(np.unique(readings.values[s.part])).min(initial=math.inf) for s in readings.series]
+    if any(f.value < step for f, step in zip(judged.floors, steps, strict=True) if math.isfinite(step)):
+        return None
+    here, there = sizes(judged.noise_floor, model.noise_um)
+    message = (
+        f"Neighbouring readings scatter by {here} µm, and by {there} µm at the model's fit: what changes from one "
+        "reading to the next hides what is missing."
+    )
+    step = (
+        "Look at the dwell before each reading, the feed to it, the mount, and the air in the beam; if another "
+        "instrument took them, its noise is all that there is to see."
+    )
+    return Doubt("scatter", message, step, fatal=True)
 
 
 def swings(judged: Judgement) -> Doubt | None:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts.doubt import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.doubts.record import swings, too_few, unexplained
+from rtec.diagnosis.doubts.doubt import Doubt
+from rtec.diagnosis.doubts.record import scatters, swings, too_few, unexplained
 from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
@@ -339,6 +339,8 @@ class _Answer:
         """Doubt where nothing is named, and a drift by many times the noise, or anything else, stays unexplained."""
         nothing = self.s.unknown is None and self.s.undecided is None and not any(d.fatal for d in self.s.doubts)
         judged = self.s.judged
+        if nothing and (noise := scatters(judged)) is not None:
+            return noise
         if not nothing or judged.refitted < REFIT * judged.residual:
             return None
         slow = swings(judged) or drift_by_far(judged, self.s.refits.current)
@@ -440,7 +442,7 @@ class _Answer:
             verdict = "missing_effect"
         elif unknown is not None:
             verdict = "unknown_effect"
-        elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in doubts):
+        elif self.s.undecided is not None or any(d.decides_nothing for d in doubts):
             verdict = "undecided"
         else:
             verdict = "nothing_missing"

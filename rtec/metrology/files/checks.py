@@ -6,6 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtec.machine import Machine
+from rtec.metrology.contradicted import contradicted
 from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.table import Bools, Floats, Raw
 from rtec.metrology.files.toml import Leniency
@@ -45,6 +46,8 @@ TEMPERATURE_CODES: Mapping[float, str] = {
     32767.0: "the highest 16-bit number",
     65535.0: "the highest 16-bit number",
 }
+WARMEST_DEGC = 50.0
+"""No machine is warmer than this at every sensor; 68 °F is 20 °C."""
 # Values that measuring programs write for a lost reading; no machine tool has an error of 10 mm or 10 mrad.
 READING_CODES = (9999.0, 9999.9, 99999.0, 99999.9, 999999.0, 9999999.0, -9999.0, -99999.0, -999999.0, -9999999.0)
 
@@ -137,8 +140,18 @@ class CheckedRows:
                 outside &= ~hit
             sensor = name.removesuffix("_degc")
             way = f"correct it, widen range_degc of [temperature.{sensor}] in the machine file, or {self.drop_way}"
+            if self._fahrenheit(name, low, high):
+                way = f"if it is in °F, convert all to (T - 32) / 1.8, which lies in the range; else {way}"
             self._tell(name, "range", outside, f"{{}} °C, outside the sensor's range {low:g} to {high:g} °C", way)
         self._hold(name)
+
+    def _fahrenheit(self, name: str, low: float, high: float) -> bool:
+        """Whether all temperatures are above 50 °C, and those of a sensor are in its range if they are in °F."""
+        known = {n: v[np.isfinite(v)] for n, v in self.raw.columns.items() if n.endswith("_degc")}
+        if any(len(v) and float(np.median(v)) < WARMEST_DEGC for v in known.values()):
+            return False
+        celsius = (known[name] - 32.0) / 1.8
+        return bool(np.all((celsius >= low) & (celsius <= high)))
 
     def _hold(self, name: str) -> None:
         """Fill gaps of a temperature with its last good value, where the user accepts that."""
@@ -231,6 +244,14 @@ def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:
             low, high = axis.travel_mm
             span = f"{position.min():g} to {position.max():g} mm"
             out.append(f"{axis.channel}_mm goes from {span}, axis {axis.name} from {low:g} to {high:g}: right unit?")
+        ways = raw.columns.get(f"dir_{axis.channel}")
+        if position is not None and ways is not None:
+            wrong = contradicted(raw.columns["run"], position, ways)
+            if wrong is not None:
+                said = (
+                    f"dir_{axis.channel} contradicts the order of {axis.channel}_mm in {wrong[0]} of {wrong[1]} moves"
+                )
+                out.append(f"{said}: right sign?")
     return out + _same_runs(raw, readings)
 
 
