@@ -161,7 +161,15 @@ def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Term
             yield _candidate("cross", "cross_talk", name, only=(k,), axis=axis.name, other=other.name)
 
 
-def _away(machine: Machine, sensor: str, axis: str, varying: Sequence[str]) -> int:
+def away_from(machine: Machine, sensor: str, axis: str, varying: Sequence[str]) -> int:
+    """How far a sensor is from an axis, by its name: see `TermCandidate.away`.
+
+    Args:
+        machine: of both.
+        sensor, axis: their names.
+        varying: names of all sensors that may be chosen.
+    """
+
     def own(name: str) -> bool:
         others = [a.name for a in machine.axes if a.name != axis]
         return not machine.of_another_axis(name, axis) and any(machine.of_another_axis(name, a) for a in others)
@@ -195,7 +203,7 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
             yield _candidate("temperature", "mount_expansion", seen.name, theta, **more)
             if axis is not None and seen.moves and seen.name[2] != "0":
                 more["axis"] = axis.name
-                away = _away(machine, sensor, axis.name, varying)
+                away = away_from(machine, sensor, axis.name, varying)
                 for grows in ("axis_expansion", "axis_expansion_nonuniform"):
                     yield replace(_candidate("temperature", grows, seen.name, theta, **more), away=away)
     for front, back in itertools.combinations(varying, 2):

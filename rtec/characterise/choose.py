@@ -446,9 +446,7 @@ def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
     better, worse = table.errors(other), table.errors(chosen)
     as_good = one_standard_error(better, worse)
     if away(other) < away(chosen):
-        return as_good or one_standard_error(
-            better, worse, OWN if any(table.candidates[i].away > 1 for i in chosen) else 1
-        )
+        return as_good
     if away(other) > away(chosen) or odd(other) > odd(chosen) or followed(other) > followed(chosen):
         return False
     return as_good if odd(other) < odd(chosen) else not one_standard_error(worse, better)

@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.assemble import assemble, model_of
-from rtec.characterise.candidates import Drive, TermCandidate, at_constant_temperature, drive, is_at_constant
+from rtec.characterise.candidates import (
+    Drive,
+    TermCandidate,
+    at_constant_temperature,
+    away_from,
+    drive,
+    is_at_constant,
+)
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.grouping import apart, joined
 from rtec.characterise.refine import refined
@@ -39,7 +46,7 @@ from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
-from rtec.estimation.warmth import EXPANDS
+from rtec.estimation.warmth import EXPANDS, SURE, expands_much
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
@@ -238,7 +245,31 @@ def _further_rules(
     single = (*rules.single, *dict.fromkeys(more))
     waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not named(t)]
     barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
-    return replace(rules, single=single, barred=barred | _crowded(readings, fit.terms[fixed:], named))
+    barred |= _crowded(readings, fit.terms[fixed:], named) | _one_too_many(fit, fixed, named)
+    return replace(rules, single=single, barred=barred)
+
+
+def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> frozenset[Drive]:
+    """Drives of expansions that only this day has, by sensors of other parts than their axis where it has its own.
+
+    One that is more than any material's. And of several expansions of one component, where one is less than two
+    standard errors from zero, the one farthest from the axis: the readings show the sum of two that warm alike.
+    """
+    machine, out = fit.sources[0].measurement.machine, set()
+    several: dict[str, list[tuple[int, float, Drive]]] = {}
+    recorded = [n for n in machine.sensor_names if any(n in s.measurement.channels for s in fit.sources)]
+    for i, term in enumerate(fit.terms[fixed:], fixed):
+        if not isinstance(term.effect, AxisExpansion) or named(term):
+            continue
+        k, error = (float(v[np.flatnonzero(fit.linear.owner == i)[0]]) for v in (fit.values, fit.errors))
+        away, own = away_from(machine, term.effect.sensor, term.effect.axis, recorded), drive(term.effect)
+        if away and expands_much(term.effect, k, error):
+            out.add(own)
+        several.setdefault(term.effect.component, []).append((away, -abs(k) / error, own))
+    for of in several.values():
+        if len({d for _, _, d in of}) > 1 and max(t for _, t, _ in of) > -SURE:
+            out.add(max(of, key=lambda f: f[:2])[2])
+    return frozenset(out)
 
 
 TAKES_BACK = 3.0

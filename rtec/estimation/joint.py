@@ -40,6 +40,7 @@ CHANGED, FAR = 6.0, 3.5
 """The numbers of an effect have changed where twice the logarithm of the evidence rises by the first, which are odds of
 20 to 1, and one of them moves by the second in standard errors, under noise that may drift; by more where few runs
 determine it, as of Student's distribution."""
+ONE_TEMPERATURE_K = 1.0
 NEW = 1e6
 """Standard deviation of the prior of a number without an earlier fit, over its usual size."""
 HELD = 1e-6
@@ -515,12 +516,19 @@ def _follows(one: Effect, other: Effect) -> bool:
     return same == (other.effect, other.component, getattr(other, "sensor", None)) and same[2] is not None
 
 
+def _at_one_temperature(readings: Readings, effect: Effect) -> bool:
+    """Whether an effect follows temperatures that hardly changed in these readings."""
+    sensors = set(readings.machine.sensor_names) & set(effect.channels(readings.machine))
+    spans = [np.ptp(np.concatenate([s.channels[name] for s in readings.states])) for name in sensors]
+    return bool(spans) and max(spans) < ONE_TEMPERATURE_K
+
+
 def _looseness(work: _Work, by_all: Plain, whitener: Whitener, columns: Floats) -> list[float]:
     """Standard errors that the numbers of each effect may move; 1 where these readings show no change of them.
 
     One effect after the other, the one first whose change makes the readings likeliest. Both kinds of least squares
     must see it: noise of a sensor pulls quick changes, slow drift pulls slow ones, and a number that has changed
-    changes both.
+    changes both. What follows a temperature that was one and the same comes after a shape without it that does as well.
     """
     known = len(work.known)
     loose = [1.0] * known + [LOOSE] * (len(work.start) - known)
@@ -528,6 +536,7 @@ def _looseness(work: _Work, by_all: Plain, whitener: Whitener, columns: Floats) 
     followed = {place for place, _ in work.followed}
     unchanged = {i for i, f in enumerate(work.known) if f.errors and followed.isdisjoint(_places(work, [i]))}
     both = [_Evidence.of(work, by, columns) for by in (by_all, whitener)]
+    behind = [CHANGED * _at_one_temperature(work.readings, f.effect) for f in work.known]
     while unchanged:
         now = [e.under(_prior(work, loose)) for e in both]
         tried = []
@@ -538,7 +547,7 @@ def _looseness(work: _Work, by_all: Plain, whitener: Whitener, columns: Floats) 
         changed, way = next(
             (
                 (i, way)
-                for gain, i, way in sorted(tried, reverse=True)
+                for gain, i, way in sorted(tried, key=lambda t: t[0] - behind[t[1]], reverse=True)
                 if gain > CHANGED and _moves_far(work, by_all, columns, i, way)
             ),
             (None, loose),

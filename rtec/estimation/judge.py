@@ -22,6 +22,9 @@ from rtec.model import Model
 
 Floats = NDArray[np.float64]
 
+CANCELS = 2.0
+"""A change of one number that is this many times the residual is taken back by another number."""
+
 
 @dataclass(frozen=True)
 class MeasurementMet:
@@ -143,7 +146,10 @@ class Judgement:
 
     @property
     def most_moved(self) -> ChangedNumber | None:
-        """The number whose refit by ordinary least squares changes the prediction most; None where there is none."""
+        """The number whose refit by ordinary least squares changes the prediction most; None where there is none.
+
+        Nor where it changes the prediction by more than is to be explained: then another number takes that back.
+        """
         out, most, at, names = None, 0.0, 0, self.base.names
         for f in self.model.effects:
             units = {p.name: p.unit for p in f.effect.coefficients(self.readings.machine)}
@@ -156,7 +162,7 @@ class Judgement:
                     if change > most:
                         out, most = ChangedNumber(f.label, name, units[name], was, now, math.nan), change
                 at += 1
-        return out
+        return out if most < CANCELS * self.residual else None
 
     @cached_property
     def _held_out(self) -> HeldOut:

@@ -82,3 +82,22 @@ def test_the_next_command_refits_them(tmp_path: Path, capsys: pytest.CaptureFixt
     better = load_model(tmp_path / "better.toml", small_machine())
     assert better.effects[1].values["B"] == pytest.approx(6.0, abs=0.3)
     assert better.correlation is not None
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_of_one_temperature_the_scale_has_changed_and_not_the_expansion(seed: int) -> None:
+    """Oracle: what was hidden. One way there and back at 22 °C: the sum of both is all that the readings show."""
+    worn = ("scale,component=EXX,axis=X,k=40", *KNOWN[1:])
+    day = laser(
+        list(worn),
+        seed,
+        protocol="cold",
+        cycles=1,
+        thermal={"air_degc": 22.0},
+        noise={"white_um": 0.2, "drift_um": 0.0, "drift_tau_s": 2400.0},
+    )
+    scale, backlash, growth = known().effects
+    whole = replace(known(), effects=(scale, backlash, replace(growth, errors={"k": 0.06})))
+    changed = diagnose(whole, [day], draws=50, explain=True).changed
+    assert [c.effect for c in changed] == ["scale(EXX, X)"]
+    assert changed[0].now == pytest.approx(40.0, abs=2.0)

@@ -306,7 +306,7 @@ def _add(
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
-    much = _beyond_materials(model.effects, made.model.effects) if new else ()
+    much = _beyond_materials(model.effects, made.model.effects)
     better = made.better and not cancelling and not wrong and not much
     return replace(
         made,
