@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.diagnosis.extend.add import add, new_effect
+from rtec.diagnosis.extend.add import add, new_effect, refused
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.errors import ModelError
@@ -354,3 +354,15 @@ def test_an_improvement_that_ends_says_what_slow_drift_remains() -> None:
     done = improve(Model(small_machine(), name="empty"), [record], draws=50)
     assert [s.labels for s in done.steps] == [("backlash(EXX, X)",)]
     assert re.search(r"ended because no effect .*; [01]\.\d+ µm is slow drift", improved_page(done, figures=False).lead)
+
+
+def test_an_expansion_beyond_every_material_is_not_added() -> None:
+    """A sensor that shows a sixth of the warmth: the refit is better by far, and wrong on another day."""
+    model = model_of(SCALE)
+    grown = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=70"
+    made = add(model, [blank(grown, model)], [laser([SCALE, grown], 3)])
+    assert made.after.held_out < 0.5 * made.before.held_out
+    assert not made.better
+    assert re.search(r"k = \d+(\.\d+)? µm/\(m·K\); no material of a machine expands so much$", refused(made))
+    usual = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11"
+    assert add(model, [blank(usual, model)], [laser([SCALE, usual], 3)]).better

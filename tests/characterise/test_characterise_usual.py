@@ -1,0 +1,88 @@
+"""A free choice that takes what every machine has, and its axes' own sensors. Oracle: what made the readings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rtec
+from rtec.characterise import characterise
+from rtec.metrology.measurement import Measurement
+from tests.support.sim_example import CONFIGS, MACHINE_FILE
+
+Floats = NDArray[np.float64]
+
+SCREW_S = 900.0
+"""The screw follows its nut within this time."""
+
+
+def late(time_s: Floats, degc: Floats) -> Floats:
+    out = degc.copy()
+    for i in range(1, len(out)):
+        out[i] = degc[i] + (out[i - 1] - degc[i]) * np.exp(-(time_s[i] - time_s[i - 1]) / SCREW_S)
+    return out
+
+
+def warming(seed: int) -> Measurement:
+    """Eight runs of X while it warms; the headstock's sensor rises as the screw does, by three tenths of it."""
+    noise = {"white_um": 0.3, "drift_um": 0.3, "drift_tau_s": 1800.0}
+    m = rtec.simulate(
+        MACHINE_FILE, "laser_linear", axis="X", seed=seed, changes={"cycles": 1, "noise": noise}
+    ).measurement
+    rng, x = np.random.default_rng(seed), m.channels["x"]
+    warmer = late(m.time_s, m.channels["T_x_nut"]) - 20.0
+    headstock = np.round(20.0 + 0.3 * warmer + rng.normal(0.0, 0.03, len(m)), 1)
+    readings = m.readings["reading_um"] + 9e-3 * x * (warmer + 1.0) + m.channels["d_x"]
+    kept = np.isin(m.run, np.unique(m.run)[:8])
+    return replace(
+        m,
+        time_s=m.time_s[kept],
+        run=m.run[kept],
+        channels={name: v[kept] for name, v in {**m.channels, "T_headstock": headstock}.items()},
+        readings={"reading_um": readings[kept]},
+    )
+
+
+def test_a_screw_grows_with_its_own_nut() -> None:
+    """Of ten such days six had followed the headstock, at 30 µm/m/K: no material grows so much."""
+    followed = set()
+    for seed in range(1, 11):
+        model = characterise([warming(seed)]).model
+        followed |= {f.label for f in model.effects if f.effect.effect == "axis_expansion"}
+    assert followed == {"axis_expansion(EXX, X, T_x_nut)"}
+
+
+MADE = (
+    "scale,component=EXX,axis=X,k=12",
+    "scale,component=EYY,axis=Y,k=-8",
+    "squareness,component=EC0Y,alpha=25",
+    "backlash,component=EXX,axis=X,B=1.5",
+    "backlash,component=EYY,axis=Y,B=2",
+)
+
+
+def circle(direction: str, seed: int) -> Measurement:
+    """A bar's circle on a mill, of known length."""
+    setup = {
+        "plane": "XY",
+        "centre_mm": [250.0, 200.0, 200.0],
+        "radius_mm": 150.0,
+        "direction": direction,
+        "feed_mm_min": 1000.0,
+    }
+    noise = {"white_um": 0.15, "drift_um": 0.1, "drift_tau_s": 300.0}
+    mill = CONFIGS / "machines" / "vertical-mill.toml"
+    made = rtec.simulate(mill, "ball_bar", setup=setup, effects=MADE, changes={"noise": noise}, seed=seed)
+    return replace(made.measurement, name=direction)
+
+
+@pytest.mark.parametrize("seed", [10, 20])
+def test_a_bar_s_circles_show_scales_and_squareness_and_no_guide_that_bends(seed: int) -> None:
+    """A yaw of X that grows, with another squareness, makes the same readings: 9 µrad had been read in place of 25."""
+    model = characterise([circle("ccw", seed), circle("cw", seed + 1)]).model
+    found = {f.label: next(iter(f.values.values())) for f in model.effects}
+    assert found["squareness(EC0Y)"] == pytest.approx(25.0, abs=0.5)
+    assert found["scale(EXX, X)"] == pytest.approx(12.0, abs=1.5)
+    assert found["scale(EYY, Y)"] == pytest.approx(-8.0, abs=1.5)
+    assert "polynomial_position(ECX, X)" not in found
