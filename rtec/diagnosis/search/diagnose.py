@@ -139,7 +139,7 @@ def diagnose(
         there = given or clean(measurements, model.reference_degc).without_ends()
         search = Search(model, there, seed, alpha, draws, only, explain, progress, earlier=earlier)
         found = instead_of_files(search, search.diagnosis())
-        return _with_changes(found, model, there) if explain else found
+        return with_changes(found, model, there) if explain else found
 
 
 def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
@@ -156,7 +156,7 @@ def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
     return other if other.named_drop > max(d for d, _ in search.between) else found
 
 
-def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
+def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     """The diagnosis, also with numbers of the model that have changed since the readings that it was fitted to."""
     again = any(m.fingerprint in model.measurements.values() for m in given.readings.measurements)
     known = any(f.errors for f in model.effects)
@@ -168,7 +168,10 @@ def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
         still = {(c.effect, c.name) for c in changed_numbers(model, given.readings, _named(found, model))[0]}
         changed = tuple(c for c in changed if (c.effect, c.name) in still)
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
-    return words.with_changes(found, changed, left.residual) if changed else found
+    if not changed:
+        return found
+    kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
+    return words.with_changes(found, changed, left.residual, left.with_own(kept))
 
 
 def _named(found: Diagnosis, model: Model) -> list[FittedEffect]:
