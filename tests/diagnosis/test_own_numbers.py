@@ -212,3 +212,28 @@ def test_an_addition_is_judged_by_the_same_numbers_before_and_after(swing_um: fl
     assert added.better
     assert gains(added.before, added.after, len(m.channels["x"]))
     assert added.model.effects[-1].values["c2"] == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_what_was_known_does_not_make_an_addition_fit_worse_than_nothing(seed: int) -> None:
+    """A scale that jumps while it is warm changes the expansion that was known; beside the growth with the air, which
+    was made, too, the expansion was held where it had been: the fit was worse than without the growth.
+
+    `diagnose` leaves the numbers free, and `add` had refused what it printed. Oracle: the growth that was made.
+    """
+    told = effects("scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2",
+                   "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=6")  # fmt: skip
+    sure = (0.4, 0.05, 0.05)
+    fitted = [replace(f, errors=dict.fromkeys(f.values, e)) for f, e in zip(told, sure, strict=True)]
+    model = Model(small_machine(), tuple(fitted), name="known")
+    by_air = "axis_expansion,component=EXX,axis=X,sensor=T_air,k=3"
+    truth = ["scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2", by_air]
+    truth.append("axis_expansion,component=EXX,axis=X,sensor=T_bed,k=6")
+    m = laser(truth, seed, cycles=1, noise={"white_um": 0.15})
+    warm = m.channels["T_bed"] > np.quantile(m.channels["T_bed"], 0.8)
+    m = replace(m, readings={"reading_um": m.readings["reading_um"] + 40e-3 * m.channels["x"] * warm})
+    refit = add(model, [], [m])
+    added = add(model, [new_effect(effects(by_air)[0].effect, model)], [m])
+    assert added.better
+    assert added.after.inside < refit.after.inside
+    assert added.after.held_out < added.before.held_out
