@@ -34,7 +34,7 @@ def circles(
 ) -> list[Measurement]:
     truth = Model(small_machine(), (*effects(*BASE), *hidden), name="truth")
     settings = Settings.model_validate({**QUICK, "noise": {"white_um": 0.15}, "protocol": "cold"})
-    out = []
+    out: list[Measurement] = []
     for feed in feeds:
         for radius in radii:
             for sense in ("cw", "ccw"):
