@@ -289,9 +289,6 @@ def _add(
     before = joint_fit(model.effects, readings, earlier=earlier)
     progress("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, earlier) if new else (no_worse(model, before), ())
-    if new and earlier is not None and _size(readings, after.left) > (1.0 + WORTH) * _size(readings, before.left):
-        # Numbers that have changed without what is new were held beside it: these readings alone determine both.
-        after, searched = _with_new(model, new, before, readings, None)
     progress("held-out runs", 2, 3)
     made, freely = _judged(model, new, measurements, there, (before, after), margin, own, 0), after
     if new and own:
@@ -307,6 +304,13 @@ def _add(
         free = _judged(model, new, measurements, there, (before, freely), margin, own, 0, alike=True)
         if gains(free.before, free.after, len(readings)) and _settled_gain(model, there, before, freely):
             after, made = freely, free
+    worse = _size(readings, freely.left) > (1.0 + WORTH) * _size(readings, before.left)
+    if new and earlier is not None and worse and not gains(made.before, made.after, len(readings)):
+        # Numbers that have changed without what is new were held beside it: these readings alone determine both.
+        alone, words = _with_new(model, new, before, readings, None)
+        free = _judged(model, new, measurements, there, (before, alone), margin, own, 0)
+        if gains(free.before, free.after, len(readings)):
+            after, made, searched = alone, free, words
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
