@@ -41,6 +41,8 @@ def machine_file(model: Path, machine: Path | None = None) -> Path:
     Raises:
         ModelError: the model cannot be read, or no machine file belongs to it.
     """
+    if model.suffix.lower() == ".csv":
+        raise ModelError(f"{model}: is a table of readings; a model file is expected first, then the measurements")
     if set(read_toml(model, ModelError)) >= MACHINE:
         if machine is not None and load_machine(machine).hash != load_machine(model).hash:
             raise ModelError(f"{model}: is a machine file, not a model, and of another machine than {machine}")

@@ -17,6 +17,8 @@ from rtec.result import Result
 
 Floats = NDArray[np.float64]
 
+AT_FLOOR = 1.05
+"""Error over the noise floor up to which a model is at the floor."""
 REFIT = 0.8
 """A model is out of date where a refit of its numbers leaves less than this share of its residual."""
 
@@ -283,6 +285,7 @@ class Diagnosis(Result):
         runs: of an undecided answer, the differences between runs; None otherwise.
         changed: numbers of the model that have changed since the readings that it was fitted to, where that was asked.
         changed_rms: residual with these refitted and all others kept.
+        changed_held_out: the same on held-out runs.
     """
 
     page_maker: ClassVar[str] = "rtec.report.diagnosis:diagnosis_page"
@@ -308,6 +311,7 @@ class Diagnosis(Result):
     runs: RunsDiffer | None = None
     changed: tuple[ChangedNumber, ...] = ()
     changed_rms: float = math.nan
+    changed_held_out: float = math.nan
 
     @property
     def out_of_date(self) -> bool:
@@ -324,8 +328,28 @@ class Diagnosis(Result):
 
     @property
     def mostly_changed(self) -> bool:
-        """Whether changed numbers of the model, refitted, remove most of the mean square."""
-        return self.changed_rms**2 < 0.5 * self.rms_residual**2
+        """Whether changed numbers of the model, refitted, remove most of the mean square, also on held-out runs.
+
+        What follows the drift of a few runs does not.
+        """
+        return max(self.changed_rms, self.changed_held_out) ** 2 < 0.5 * self.rms_residual**2
+
+    @property
+    def refits_changed(self) -> bool:
+        """Whether `improve` refits numbers that have changed, whatever else these readings leave undecided.
+
+        Not to a slow change without a name, nor in one pass of an axis, where numbers absorb a missing effect.
+        """
+        one_pass = any(d.kind == "one_pass" for d in self.doubts)
+        at_floor = self.changed_rms <= AT_FLOOR * self.noise_floor
+        return self.mostly_changed and not self.changes_slowly and (at_floor or not one_pass)
+
+    @property
+    def changes_slowly(self) -> bool:
+        """Whether what has no name follows a temperature or the time: numbers of the model would follow it, too."""
+        if self.unknown is None or self.judged is None:
+            return False
+        return bool(set(self.unknown.channels) & {*self.judged.model.machine.sensor_names, "time_s"})
 
     @property
     def named_drop(self) -> float:

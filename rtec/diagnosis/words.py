@@ -137,15 +137,21 @@ def of_warmth(changed: Sequence[ChangedNumber]) -> str:
     return f" {'; '.join(parts)}. A measurement at one more temperature decides." if parts else ""
 
 
-def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float) -> Diagnosis:
-    """The diagnosis with numbers of the model that have changed, and the residual with them, in its sentence."""
+def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, held_out: float) -> Diagnosis:
+    """The diagnosis with numbers of the model that have changed, and the residual with them, in its sentence.
+
+    Args:
+        d: the diagnosis.
+        changed: the numbers.
+        rms, held_out: residual with them, and on held-out runs.
+    """
     if not changed:
         return d
     before, after = two_numbers(d.rms_residual, rms)
     unit = ERROR_UNITS[d.unit]
     text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {unit}."
     text += of_warmth(changed)
-    d = replace(d, changed=tuple(changed), changed_rms=rms)
+    d = replace(d, changed=tuple(changed), changed_rms=rms, changed_held_out=held_out)
     if d.verdict == "nothing_missing" and d.out_of_date and REFIT * rms < d.refit:
         answer = (
             f"No effect is missing; the noise floor is {number(d.noise_floor)} {ERROR_UNITS[d.unit]}{drifts(d)} "

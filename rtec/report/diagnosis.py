@@ -313,9 +313,9 @@ def _next(d: Diagnosis) -> list[str]:
     last = ("-o", f"{model.with_suffix('')}-more.toml", *d.machine_option)
     if d.verdict == "unknown_effect":
         typed = [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
-        if typed or not d.mostly_changed:
+        if typed or not d.refits_changed:
             return typed  # which refits the model's numbers as well
-    if d.mostly_changed:
+    if d.refits_changed:
         return [shell_command("rtec", "improve", *d.files, *last)]
     sure = d.verdict == "missing_effect" or any(doubt.kind == "too_few" for doubt in d.doubts)
     if d.verdict == "ambiguous" and len(d.together) < 2:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtec.diagnosis.doubts.not_read import not_logged_beside, unread_beside
-from rtec.diagnosis.extend.add import Added, not_determined
+from rtec.diagnosis.extend.add import CLEARLY, Added, not_determined
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import NEAREST, SHAPE, Improved
 from rtec.diagnosis.extend.record_event import words
@@ -194,6 +194,13 @@ def _why_ended(r: Improved) -> str:
     """Why the improvement ended, in words."""
     if r.reason == "no_gain" and r.cancelling:
         return not_determined(r.cancelling)
+    last = r.diagnoses[-1].findings[:1] if r.reason == "no_gain" else ()
+    if last and last[0].heldout_drop > 1.0 - (1.0 - CLEARLY) ** 2:
+        return (
+            f"{WHY_ENDED[r.reason]} with the temperatures that the loop has, beside what earlier readings say of the "
+            f"model's numbers; `rtec diagnose`, which smooths the temperatures and leaves the numbers free, counts "
+            f"{percent(last[0].heldout_drop)} of the mean square"
+        )
     if r.reason == "unknown_effect" and r.steps:
         return "what is still missing is not in the catalogue"
     if r.reason == "nothing_missing" and r.steps:

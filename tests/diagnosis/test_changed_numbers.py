@@ -6,6 +6,7 @@ Oracle: what was hidden.
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rtec.cli.main import status
@@ -13,6 +14,8 @@ from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.joint import changed_numbers
 from rtec.estimation.outliers import clean
+from rtec.estimation.readings import read
+from rtec.metrology.files.load import save_measurement
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
 from tests.support.diagnosis_examples import effects, laser, small_machine, write_laser, write_machine
@@ -101,3 +104,33 @@ def test_of_one_temperature_the_scale_has_changed_and_not_the_expansion(seed: in
     changed = diagnose(whole, [day], draws=50, explain=True).changed
     assert [c.effect for c in changed] == ["scale(EXX, X)"]
     assert changed[0].now == pytest.approx(40.0, abs=2.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_changed_is_refitted_where_the_runs_differ_too(
+    seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nine runs whose means follow a temperature in part decide nothing about it; the reversal changed all the same.
+
+    `improve` had written nothing after a diagnosis that led to it. Oracle: the reversal that was made.
+    """
+    turned = (KNOWN[0], "backlash,component=EXX,axis=X,B=-3", KNOWN[2])
+    m = laser(list(turned), seed, cycles=1, targets={"step_mm": 33.0}, noise={"white_um": 0.1})
+    run = read([m], smooth=False).series[0].run
+    random, count = np.random.default_rng(seed), np.bincount(run)
+    warm = np.bincount(run, m.channels["T_bed"]) / count
+    zeros = 0.1 * random.standard_normal(len(count)) + 0.15 * (warm - warm.mean()) / warm.std()
+    m = replace(m, readings={"reading_um": m.readings["reading_um"] + zeros[run]})
+    d = diagnose(known(), [m], draws=50, explain=True)
+    assert d.verdict == "undecided"
+    assert d.runs is not None
+    assert d.refits_changed
+    write_machine(tmp_path)
+    model, table = tmp_path / "model.toml", tmp_path / "day.csv"
+    save_model(known(), model)
+    save_measurement(m, table)
+    words = [str(model), str(table), "--machine", str(tmp_path / "machine.toml")]
+    assert status(["diagnose", *words]) == 0
+    assert "Next: rtec improve" in capsys.readouterr().out
+    assert status(["improve", *words, "-o", str(tmp_path / "better.toml"), "--yes"]) == 0
+    assert load_model(tmp_path / "better.toml", small_machine()).effects[1].values["B"] == pytest.approx(-3.0, abs=0.2)

@@ -205,7 +205,7 @@ def test_a_searched_period_is_added_by_the_command_that_keeps_it() -> None:
             findings=(first,),
             together=(),
             machine_option=(),
-            mostly_changed=False,
+            refits_changed=False,
         )
         return _next(d)[0]
 

@@ -294,7 +294,7 @@ def _add(
     progress("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, earlier) if new else (no_worse(model, before), ())
     progress("held-out runs", 2, 3)
-    made = _judged(model, new, measurements, there, (before, after), margin, own, 0)
+    made, freely = _judged(model, new, measurements, there, (before, after), margin, own, 0), after
     if new and own:
         kept = _with_own(model, after, own, readings)
         other = _judged(model, new, measurements, there, (before, kept), margin, own, own)
@@ -303,6 +303,18 @@ def _add(
         clearly = lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))
         if settles or clearly or _holds(model, there, made, other):
             after, made = kept, other
+    if new and not gains(made.before, made.after, len(readings)):
+        # Numbers held near what earlier readings made them hide what free ones show before and after.
+        free = _judged(model, new, measurements, there, (before, freely), margin, own, 0, alike=True)
+        if gains(free.before, free.after, len(readings)) and _settled_gain(model, there, before, freely):
+            after, made = freely, free
+    worse = _size(readings, freely.left) > (1.0 + WORTH) * _size(readings, before.left)
+    if new and earlier is not None and worse and not gains(made.before, made.after, len(readings)):
+        # Numbers that have changed without what is new were held beside it: these readings alone determine both.
+        alone, words = _with_new(model, new, before, readings, None)
+        free = _judged(model, new, measurements, there, (before, alone), margin, own, 0)
+        if gains(free.before, free.after, len(readings)):
+            after, made, searched = alone, free, words
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
@@ -456,6 +468,7 @@ def _judged(
     margin: Margin,
     fresh: int,
     own: int,
+    alike: bool = False,
 ) -> Added:
     """Residual before and after, and the model with its history.
 
@@ -467,11 +480,12 @@ def _judged(
         margin: of the valid ranges.
         fresh: number of effects whose numbers were not fitted to these readings before: for them all runs are held out.
         own: number of effects that keep their numbers in the fit.
+        alike: predict held-out runs after the addition as before it, by numbers refitted to all others.
     """
     (refitted, after), effects = fits, fits[1].effects
     ranges = ranges_of(model, effects, given.readings, margin)
     grown = replace(model, effects=effects, valid_range=ranges, correlation=after.correlation)
-    now, kept = Judgement(grown, given), {*range(own), *after.settled}
+    now, kept = Judgement(grown, given), set[int]() if alike else {*range(own), *after.settled}
     was = Judgement(model, given, tuple(now.scale))
     ways = [range(0), range(fresh), refitted.settled] if new else [range(len(model.effects))]
     held, sharp = min(map(was.with_own, ways)), min(was.beyond_drift(now.flexible, kept) for kept in ways)
@@ -493,6 +507,12 @@ def _judged(
     hidden = _hidden_by_drift(before, after_it, len(given.readings))
     notes = (*of_time, *hidden, *after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
     return Added(made, added, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from, own_kept=own)
+
+
+def _settled_gain(model: Model, given: Clean, before: Joint, after: Joint) -> bool:
+    """Whether held-out runs are predicted better beside what earlier readings determined, refined in both fits."""
+    one, two = (Judgement(replace(model, effects=f.effects), given).with_own(f.settled) for f in (before, after))
+    return two < (1.0 - WORTH) * one
 
 
 def _hidden_by_drift(before: Errors, after: Errors, readings: int) -> tuple[str, ...]:

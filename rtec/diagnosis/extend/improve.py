@@ -24,8 +24,8 @@ from rtec.diagnosis.extend.add import (
 )
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, hardly_varied
-from rtec.diagnosis.result import Diagnosis, Finding
-from rtec.diagnosis.search.diagnose import DRAWS, diagnose
+from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding
+from rtec.diagnosis.search.diagnose import DRAWS, diagnose, with_changes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
 from rtec.diagnosis.words import named
@@ -53,8 +53,6 @@ Reason = Literal[
     "steps",
 ]
 
-AT_FLOOR = 1.05
-"""Held-out error over the noise floor up to which a model is at the floor."""
 MOST = 8
 DETERMINED = 3.0
 """Standard errors from zero of each number of a further temperature: less certain ones cancel others on one day."""
@@ -246,14 +244,15 @@ def _improved(
         if refit is None:
             return growth.grown(model, ask, ask_made)
         found = growth.diagnosed(model)
-    if found.verdict == "undecided":  # refitted numbers would absorb an unknown cause
+    changed = found.verdict == "undecided" and with_changes(found, model, growth.given).refits_changed
+    if found.verdict == "undecided" and not changed:  # refitted numbers would absorb an unknown cause
         return Improved(model, (), (found,), "undecided")
     if found.verdict == "nothing_missing" and not found.refit_fits:  # nor are they refitted to a drift
         return Improved(model, (), (found,), "nothing_missing")
     holding = growth.holding(model, found)
     if holding is not None:
         return growth.grown(model, ask, ask_made, holding)
-    if ask_made is None and _changes_slowly(found, model.machine):
+    if ask_made is None and found.changes_slowly:
         return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
     if ask_made is not None and not ask_made(refit):
         growth.declined = True
@@ -262,12 +261,6 @@ def _improved(
         step(refit)
     growth.own = 0
     return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
-
-
-def _changes_slowly(found: Diagnosis, machine: Machine) -> bool:
-    """Whether what has no name follows a temperature or the time: numbers of the model would follow it, too."""
-    channels = set(found.unknown.channels) if found.unknown is not None else set()
-    return bool(channels & {*machine.sensor_names, "time_s"})
 
 
 class _Growth:

@@ -30,6 +30,7 @@ from rtec.diagnosis.search.confounded import (
 )
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_effects, significant, untestable
+from rtec.diagnosis.search.one_feed import TEST, as_place, not_separated, of_places
 from rtec.diagnosis.search.prepared import Prepared
 from rtec.diagnosis.search.refit import NOTHING_MUCH, Refits, Refitted
 from rtec.diagnosis.search.run_drift import run_drifts
@@ -271,6 +272,13 @@ class _Answer:
         rivals = [r for r in out.values() if not r[0].apart]
         evidence = {t.number: t.log_evidence for t in refitted}
         listed = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
+        if of_places(mine, self.readings):
+            listed = [
+                replace(a, separating_test=TEST)
+                if a.fitted is not None and not_separated(a.fitted.effect, self.readings) is not None
+                else a
+                for a in listed
+            ]
         listed += [a for a, n in sorted(out.values(), key=lambda a: -evidence.get(a[1], -math.inf)) if a.apart]
         part = winner.columns @ winner.fit.values[self._first(winner) :][: winner.columns.shape[1]]
         if getattr(mine, "grows_with", None) is not None:
@@ -279,6 +287,7 @@ class _Answer:
             fold(self.readings, self.s.prepared.base, mine, winner.theta, part),
             curve_or_wave(self.readings, self.s.prepared.base, mine, part),
             self._pitch(winner),
+            as_place(mine, self.readings),
             bent_part(mine, self._coefficient(winner), self._beside(winner, refitted)),
         )
         return [*listed, *(a for a in asked if a is not None)]

@@ -31,6 +31,7 @@ from rtec.diagnosis.search.confounded import (
 )
 from rtec.diagnosis.search.drift_alone import drift_makes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
+from rtec.diagnosis.search.one_feed import not_separated, place_first
 from rtec.diagnosis.search.prepared import prepare
 from rtec.diagnosis.search.refit import (
     BESIDE,
@@ -139,7 +140,7 @@ def diagnose(
         there = given or clean(measurements, model.reference_degc).without_ends()
         search = Search(model, there, seed, alpha, draws, only, explain, progress, earlier=earlier)
         found = instead_of_files(search, search.diagnosis())
-        return _with_changes(found, model, there) if explain else found
+        return with_changes(found, model, there) if explain else found
 
 
 def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
@@ -156,7 +157,7 @@ def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
     return other if other.named_drop > max(d for d, _ in search.between) else found
 
 
-def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
+def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     """The diagnosis, also with numbers of the model that have changed since the readings that it was fitted to."""
     again = any(m.fingerprint in model.measurements.values() for m in given.readings.measurements)
     known = any(f.errors for f in model.effects)
@@ -168,7 +169,10 @@ def _with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
         still = {(c.effect, c.name) for c in changed_numbers(model, given.readings, _named(found, model))[0]}
         changed = tuple(c for c in changed if (c.effect, c.name) in still)
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
-    return words.with_changes(found, changed, left.residual) if changed else found
+    if not changed:
+        return found
+    kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
+    return words.with_changes(found, changed, left.residual, left.with_own(kept))
 
 
 def _named(found: Diagnosis, model: Model) -> list[FittedEffect]:
@@ -344,7 +348,7 @@ class Search:
         """Refitted candidates, the one to be named first; and whether noise alone is an unlikely cause of it."""
         again = self.refits.refitted(found, self.refits.weigh_without_drift())
         ordered = led(again, self._prior_odds + SURE, self.prepared.base, self.readings)
-        refitted = self._apart_from_warm_up(self._direct_first(ordered))
+        refitted = self._place_first(self._apart_from_warm_up(self._direct_first(ordered)))
         accepted = bool(refitted) and self._accepts(refitted[0], p)
         return self._leaner_first(refitted) if accepted else refitted, accepted
 
@@ -403,6 +407,12 @@ class Search:
 
     def _component(self, t: Refitted) -> str:
         return self.candidates[t.number].effect.component
+
+    def _place_first(self, refitted: list[Refitted]) -> list[Refitted]:
+        def effect_of(t: Refitted) -> Effect:
+            return self.candidates[t.number].effect
+
+        return place_first(refitted, effect_of, self.readings, self._prior_odds + SURE, AS_GOOD)
 
     def _leaner_first(self, refitted: list[Refitted]) -> list[Refitted]:
         effects = {t.number: self.candidates[t.number].effect for t in refitted}
@@ -693,7 +703,7 @@ class Search:
             return None, []
         first, second = best
         if first.holds and not _rich(best):
-            return None, self.refits.chain(best, bar, lambda effect: not self._of_time(effect))
+            return None, self.refits.chain(best, bar, lambda e: not self._of_time(e) and self._separate(e))
         apart = self._without_instrument([first, second])
         if len(apart) < len(best):
             return None, apart
@@ -701,6 +711,10 @@ class Search:
         width = self.prepared.base.shape[1]
         both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
         return (both, second), []
+
+    def _separate(self, effect: Effect) -> bool:
+        """Whether the readings may separate an effect from one of the place."""
+        return not_separated(effect, self.readings) is None
 
     def _of_time(self, effect: Effect) -> bool:
         return "time_s" in effect.channels(self.model.machine)
@@ -777,7 +791,7 @@ class Search:
         def plain(effect: Effect) -> bool:
             read = set(effect.channels(self.model.machine))
             # A curve over one position completes any surface.
-            return not self._of_time(effect) and len(read & places) <= 1
+            return not self._of_time(effect) and len(read & places) <= 1 and self._separate(effect)
 
         bar = self._prior_odds + SURE
         for one in curves_of(
@@ -814,7 +828,7 @@ class Search:
         if len(chain) < 2 or chain[-1].drop < best.drop or chain[-1].log_evidence <= best.log_evidence:
             return []
         # What the best needs beside it may replace it, and may have more numbers.
-        whole = self.refits.chain([best], bar, lambda _: True)
+        whole = self.refits.chain([best], bar, self._separate)
         known = self.doubts
         chain = self._without_instrument(max(chain, whole, key=lambda c: c[-1].log_evidence))
         worse = not chain or chain[-1].drop < best.drop or chain[-1].log_evidence <= best.log_evidence
