@@ -431,7 +431,7 @@ def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
     """Whether another choice goes before one.
 
     It is as good with the sensors of its own axes, or follows no more temperatures and speeds and has fewer shapes that
-    not every machine has. Or it is better by more than one standard error, and has no more of any of these.
+    not every machine has. Or it is better by more than one standard error, and has no more of these.
     """
 
     def away(c: list[int]) -> int:
@@ -443,6 +443,12 @@ def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
     def followed(c: list[int]) -> int:
         return sum(bool(table.candidates[i].feature) for i in c)
 
+    def grow(c: list[int]) -> set[str]:
+        of = [table.candidates[i] for i in c]
+        return {k.component for k in of if k.effect == "axis_expansion" and k.component[1] == k.component[2]}
+
+    if not grow(other) >= grow(chosen):
+        return False  # a scale of one day would take the place of what grows on every day
     better, worse = table.errors(other), table.errors(chosen)
     as_good = one_standard_error(better, worse)
     if away(other) < away(chosen):

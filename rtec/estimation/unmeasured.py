@@ -82,8 +82,10 @@ def _of(fitted: FittedEffect, readings: Readings) -> list[UnmeasuredMotion]:
 
 
 def _motion(fitted: FittedEffect, readings: Readings, source: int) -> NDArray[np.float64]:
-    """Tool-tip error of an effect at every instant of a measurement, µm, (n, 3)."""
+    """Tool-tip error of an effect at every instant of a measurement, µm, (n, 3); zero where it lacks a channel."""
     machine, state = readings.machine, readings.states[source]
+    if not set(fitted.effect.channels(machine)) <= set(state.channels):
+        return np.zeros((len(state), 3))
     basis = fitted.effect.basis(machine, state, fitted.theta)
     values = [fitted.values[p.name] for p in fitted.effect.coefficients(machine)]
     size = sum((v * b for v, b in zip(values, basis, strict=True)), np.zeros(len(state)))
