@@ -187,7 +187,7 @@ def _steps(choice: TermChoice | None) -> tuple[SearchStep, ...]:
     if choice is None:
         return ()
     whole = max(choice.steps[0].inside, 1e-300)
-    return tuple(SearchStep(s.label, s.inside / whole, s.held_out / whole) for s in choice.steps)
+    return tuple(SearchStep(s.label, s.terms, s.inside / whole, s.held_out / whole) for s in choice.steps)
 
 
 def _correlations(screened: Screened | None) -> list[Correlated]:

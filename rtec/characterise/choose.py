@@ -28,9 +28,7 @@ NEAR = 0.02
 SAME = 0.1
 """Predictions count as equal if they differ by less than this share of the residual."""
 TRIED = 80
-
-
-USUAL = ("scale", "squareness", "backlash")
+EVERY_MACHINE = ("scale", "squareness", "backlash")
 """Errors that every machine has."""
 
 
@@ -95,8 +93,8 @@ MOST_FEATURES = 4
 """Largest number of temperatures, differences and speeds for one component error; one or two is usual [G 3.6]."""
 BLOCKS_EACH = 2
 """Held-out blocks for each of them at least: each must vary more than once."""
-PLAIN = ("scale", "squareness", "backlash", "servo_lag", "inertia")
-"""Effects that every machine has to some degree: they may be confounded with chosen ones even if not chosen."""
+PLAIN = (*EVERY_MACHINE, "servo_lag", "inertia")
+"""With effects that every machine has to some degree: they may be confounded with chosen ones even if not chosen."""
 TWIST = 1
 """Degree of a rotation that grows along the axis; every machine has it to some degree, and bends, too."""
 HIDDEN = 1e-4
@@ -230,6 +228,12 @@ class HeldOutTable:
         same_shape = mine.component == other.component and {mine.kind, other.kind} <= {"position", "region"}
         return not same_angle and not same_shape and (other.direct or not mine.direct)
 
+    @property
+    def of_every_machine(self) -> list[int]:
+        """Usable candidates of what every machine has, in components that the readings show directly."""
+        all_of_them = enumerate(self.candidates)
+        return [i for i, c in all_of_them if c.effect in EVERY_MACHINE and c.direct and self.usable[i]]
+
     def of_own_sensors(self) -> "HeldOutTable":
         """The same table, in which nothing grows along an axis by a sensor that is not the axis' own."""
         other = copy.copy(self)
@@ -336,9 +340,12 @@ KINDS = (
 
 @dataclass(frozen=True)
 class ChoiceStep:
-    """One step of the search: the added term, and the errors in sample and held out, in units of the rough noise."""
+    """One step of the search: what was added, the number of terms, and the errors in sample and held out, in units of
+    the rough noise.
+    """
 
     label: str
+    terms: int
     inside: float
     held_out: float
 
@@ -388,7 +395,7 @@ def choose(
         if _prior(table, other, chosen):
             chosen, steps = other, other_steps
     chosen = _by_own_sensors(table, chosen, forced)
-    chosen = _by_usual(table, chosen, forced)
+    chosen = _by_every_machine(table, chosen, forced)
     held_out = float(np.sqrt(table.held_out(chosen)))
     rivals, same = find_rivals(table, chosen), table.confounded(chosen)
     return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
@@ -414,8 +421,7 @@ def _other_starts(
 
     A search that adds one term at a time may find one that stands for several, and then adds what mends it.
     """
-    usual = [i for i, c in enumerate(table.candidates) if c.effect in USUAL and c.direct and table.usable[i]]
-    both = [*forced, *(i for i in usual if i not in forced)]
+    both = [*forced, *(i for i in table.of_every_machine if i not in forced)]
     start = independent(table.normal, [table.columns[i] for i in both], both)
     if not set(start) <= set(chosen):
         yield table, start
@@ -438,7 +444,7 @@ def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
         return sum(table.candidates[i].away for i in c)
 
     def odd(c: list[int]) -> int:
-        return sum(table.candidates[i].effect not in USUAL and not table.candidates[i].feature for i in c)
+        return sum(table.candidates[i].effect not in EVERY_MACHINE and not table.candidates[i].feature for i in c)
 
     def followed(c: list[int]) -> int:
         return sum(bool(table.candidates[i].feature) for i in c)
@@ -465,12 +471,11 @@ def _of_own(table: HeldOutTable, rest: list[int], i: int) -> list[int]:
     return [k for k in near if table.candidates[k].away < away and k not in rest]
 
 
-def _by_usual(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
+def _by_every_machine(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
     """The choice with an error that every machine has in the place of any other one that does no better."""
-    usual = [i for i, c in enumerate(table.candidates) if c.effect in USUAL and c.direct and table.usable[i]]
     for i in chosen:
-        near = [k for k in usual if k not in chosen]
-        if i in forced or table.candidates[i].feature or table.candidates[i].effect in USUAL or not near:
+        near, one = [k for k in table.of_every_machine if k not in chosen], table.candidates[i]
+        if i in forced or one.feature or one.effect in EVERY_MACHINE or not near:
             continue
         rest = [j for j in chosen if j != i]
         errors = table.held_out_beside(rest, near)
@@ -545,7 +550,8 @@ def _complexity(table: HeldOutTable, i: int) -> tuple[bool, int, int, int, int]:
 
 
 def _step(table: HeldOutTable, chosen: Sequence[int], label: str) -> ChoiceStep:
-    return ChoiceStep(label, float(np.sqrt(table.inside(chosen))), float(np.sqrt(table.held_out(chosen))))
+    inside, held_out = (float(np.sqrt(v)) for v in (table.inside(chosen), table.held_out(chosen)))
+    return ChoiceStep(label, len(chosen), inside, held_out)
 
 
 def _best(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:

@@ -83,9 +83,12 @@ class Correlated:
 
 @dataclass(frozen=True)
 class SearchStep:
-    """One step of the search: the added term, and the error in sample and held out, relative to that without terms."""
+    """One step of the search: what was added, the number of terms with it, and the error in sample and held out,
+    relative to that without terms.
+    """
 
     added: str
+    terms: int
     inside: float
     held_out: float
 

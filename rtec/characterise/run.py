@@ -46,7 +46,7 @@ from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
-from rtec.estimation.warmth import EXPANDS, SURE, expands_much
+from rtec.estimation.warmth import EXPANDS, SURE
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
@@ -252,8 +252,9 @@ def _further_rules(
 def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> frozenset[Drive]:
     """Drives of expansions that only this day has, by sensors of other parts than their axis where it has its own.
 
-    One that is more than any material's. And of several expansions of one component, where one is less than two
-    standard errors from zero, the one farthest from the axis: the readings show the sum of two that warm alike.
+    One that is more than any material's, or an angle that is as much at an arm of 1 m. And of several expansions of one
+    component, where one is less than two standard errors from zero, the one farthest from the axis: the readings show
+    the sum of two that warm alike.
     """
     machine, out = fit.sources[0].measurement.machine, set()
     several: dict[str, list[tuple[int, float, Drive]]] = {}
@@ -263,15 +264,16 @@ def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> f
             continue
         k, error = (float(v[np.flatnonzero(fit.linear.owner == i)[0]]) for v in (fit.values, fit.errors))
         away, own = away_from(machine, term.effect.sensor, term.effect.axis, recorded), drive(term.effect)
-        if away and expands_much(term.effect, k, error):
+        if away and abs(k) - SURE * error > EXPANDS:
             out.add(own)
-        several.setdefault(term.effect.component, []).append((away, -abs(k) / error, own))
+        several.setdefault(term.effect.component, []).append((away, error / max(abs(k), TINY), own))
     for of in several.values():
-        if len({d for _, _, d in of}) > 1 and max(t for _, t, _ in of) > -SURE:
+        if len({d for _, _, d in of}) > 1 and max(unsure for _, unsure, _ in of) > 1.0 / SURE:
             out.add(max(of, key=lambda f: f[:2])[2])
     return frozenset(out)
 
 
+TINY = 1e-300
 TAKES_BACK = 3.0
 """Two delays of one temperature take back what the other makes, where one makes this many times what both do."""
 
@@ -437,7 +439,7 @@ def _significant(
             f"significantly: {why}; name an effect with its component and arguments to fit it nonetheless: --effects "
             "mount_expansion:EXX:sensor=T_bed"
         )
-    way = "the machine's file in place of a model is one without effects (rtec diagnose, rtec improve)"
+    way = "to go on without a model, give rtec diagnose or rtec improve the machine file in its place"
     if first := _first_model(sources, candidates):
         way = f"for a first model, which rtec improve extends, add --effects {first}, fitted without a choice"
     more = f"; for a choice measure at least {FEW_BLOCKS} runs" if blocks < FEW_BLOCKS else ""

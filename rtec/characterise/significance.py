@@ -8,7 +8,7 @@ tests: with single blocks held out, and with the longer parts held out on which 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.choose import USUAL
+from rtec.characterise.choose import EVERY_MACHINE
 from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.normal import Normal
@@ -34,20 +34,20 @@ def surety(fit: Estimate, candidates: int) -> Floats:
         candidates: number of candidates from which the terms were chosen.
     """
 
-    # Every machine has the usual errors: each is one of these few. But a scale error may be the warmth
-    # of the day, where no expansion beside it is significant.
+    # What every machine has is one of few candidates. But a scale error may be the warmth of the day, where no
+    # expansion beside it is significant.
     def among(count: int) -> Floats:
         ways = [fit.linear, fit.linear.by_part]
         return np.asarray(np.min([_distances(way, fit) / far_for_chance(count, len(way.gram)) for way in ways], axis=0))
 
-    of_all, of_few, owner = among(candidates), among(min(len(USUAL), candidates)), fit.linear.owner
+    of_all, of_few, owner = among(candidates), among(min(len(EVERY_MACHINE), candidates)), fit.linear.owner
     grows = {
         t.effect.component
         for i, t in enumerate(fit.terms)
         if isinstance(t.effect, AxisExpansion) and of_all[owner == i].max() >= 1.0
     }
     effects = [t.effect for t in fit.terms]
-    plain = [e.effect in USUAL and (e.effect != "scale" or e.component in grows) for e in effects]
+    plain = [e.effect in EVERY_MACHINE and (e.effect != "scale" or e.component in grows) for e in effects]
     return np.where(np.array(plain, dtype=np.bool_)[owner], of_few, of_all)
 
 

@@ -129,7 +129,7 @@ def of_warmth(changed: Sequence[ChangedNumber]) -> str:
     """That parts are warmer than in the fit, so that numbers only look changed; empty where none are."""
     parts = [
         f"{c.warmer.sensor} is {significant(abs(c.warmer.by_k), 2)} K {'warmer' if c.warmer.by_k > 0.0 else 'colder'} "
-        f"than in the fit: an expansion of {significant(c.warmer.growth, 2)} µm/m/K would look like the change of "
+        f"than in the fit: an expansion of {significant(c.warmer.growth, 2)} µm/(m·K) would look like the change of "
         f"{c.effect}"
         for c in changed
         if c.warmer is not None

@@ -19,7 +19,6 @@ from rtec.estimation import floor
 from rtec.estimation.candidates import real
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, row_codes
-from rtec.estimation.warmth import GROWS
 from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
@@ -38,6 +37,8 @@ MIRROR = 0.25
 """A file is the mirror image of another where their sum is less than this share of their readings."""
 CLEARLY = 1.2
 """Of two files that contradict each other, the odd one differs this many times more from the others."""
+GROWS = 24.0
+"""Expansion of aluminium, µm/(m·K): what two files at other temperatures may differ by, even if they differ little."""
 PER_MM = 10.0
 """Places within 1 mm divided by this number are equal."""
 LINE = 10_000_000

@@ -82,9 +82,9 @@ def _of(fitted: FittedEffect, readings: Readings) -> list[UnmeasuredMotion]:
 
 
 def _motion(fitted: FittedEffect, readings: Readings, source: int) -> NDArray[np.float64]:
-    """Tool-tip error of an effect at every instant of a measurement, µm, (n, 3); zero where it lacks a channel."""
+    """Tool-tip error of an effect at every instant of a measurement, µm, (n, 3); zero where a channel is missing."""
     machine, state = readings.machine, readings.states[source]
-    if not set(fitted.effect.channels(machine)) <= set(state.channels):
+    if not all(map(state.has, fitted.effect.channels(machine))):
         return np.zeros((len(state), 3))
     basis = fitted.effect.basis(machine, state, fitted.theta)
     values = [fitted.values[p.name] for p in fitted.effect.coefficients(machine)]

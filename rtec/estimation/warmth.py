@@ -12,19 +12,25 @@ from rtec.effects import Effect
 from rtec.effects.geometry import Scale
 from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.readings import Readings
+from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 
 WARMER_K = 1.0
 EXPANDS, SURE = 25.0, 2.0
 """Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
-GROWS = 24.0
-"""Expansion of aluminium, µm/m/K, the most of a machine's parts."""
 
 
 def expands_much(effect: Effect, k: float, error: float) -> bool:
-    """Whether a screw or scale would expand more than any material of a machine, by more than its standard error."""
-    return isinstance(effect, AxisExpansion) and abs(k) - SURE * error > EXPANDS
+    """Whether a screw or scale would expand more than any material of a machine, beyond two standard errors.
+
+    An angle that grows along an axis is no expansion of a material.
+    """
+    return _of_a_length(effect) and isinstance(effect, AxisExpansion) and abs(k) - SURE * error > EXPANDS
+
+
+def _of_a_length(effect: Effect) -> bool:
+    return component_unit(effect.component) == "um"
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class Warmer:
     Attributes:
         sensor: its name.
         by_k: by how many kelvin, on average.
-        growth: expansion that would look like the change of the scale error, µm/m/K.
+        growth: expansion that would look like the change of the scale error, µm/(m·K).
     """
 
     sensor: str
@@ -79,7 +85,7 @@ def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> W
         change: of its number, µm/m.
     """
     known = any(f.effect.effect == "axis_expansion" and f.effect.component == effect.component for f in model.effects)
-    if not isinstance(effect, Scale) or known:
+    if not isinstance(effect, Scale) or not _of_a_length(effect) or known:
         return None
     now, found = _recorded(readings.measurements), []
     for name, (low, high) in of_the_fit(model).items():
@@ -87,7 +93,7 @@ def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> W
             continue
         least, most = now[name]
         by_k = (least + most - low - high) / 2.0
-        if (least - high > WARMER_K or low - most > WARMER_K) and 0.0 < change / by_k <= GROWS:
+        if (least - high > WARMER_K or low - most > WARMER_K) and 0.0 < change / by_k <= EXPANDS:
             own = any(readings.machine.of_another_axis(name, a.name) for a in readings.machine.axes)
             found.append((own, abs(by_k), Warmer(name, by_k, change / by_k)))
     return max(found, key=lambda f: f[:2])[2] if found else None

@@ -146,7 +146,8 @@ def _search(r: Characterisation, figures: bool) -> list[Section]:
 
 def _search_figure(r: Characterisation) -> Png:
 
-    return falling(np.array([100 * s.inside for s in r.steps]), np.array([100 * s.held_out for s in r.steps]))
+    terms, *errors = np.array([(s.terms, 100 * s.inside, 100 * s.held_out) for s in r.steps]).T
+    return falling(terms, *errors)
 
 
 def _residual_figure(r: Characterisation) -> Figure:
@@ -175,12 +176,11 @@ Floats = NDArray[np.float64]
 
 
 @as_png
-def falling(inside: Floats, held_out: Floats) -> "MplFigure":
+def falling(terms: Floats, inside: Floats, held_out: Floats) -> "MplFigure":
     """Error against number of terms, in sample and held out, % of that without terms, on a logarithmic scale."""
     from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     figure, (ax,) = stacked(4.6)
-    terms = np.arange(len(inside))
     ax.semilogy(terms, held_out, color=OFF, marker="s", linestyle="--", label="held out")
     ax.semilogy(terms, inside, color=ON, marker="o", label="in sample")
     ax.set_title("Error as terms were added")

@@ -197,9 +197,9 @@ def _why_ended(r: Improved) -> str:
     last = r.diagnoses[-1].findings[:1] if r.reason == "no_gain" else ()
     if last and last[0].heldout_drop > 1.0 - (1.0 - CLEARLY) ** 2:
         return (
-            f"{WHY_ENDED[r.reason]} with the temperatures that the loop has, beside what earlier readings say of the "
-            f"model's numbers; `rtec diagnose`, which smooths the temperatures and leaves the numbers free, counts "
-            f"{percent(last[0].heldout_drop)} of the mean square"
+            f"{WHY_ENDED[r.reason]} with the temperatures that the loop has and near the model's earlier numbers; in "
+            f"`rtec diagnose`, with smoothed temperatures and free numbers, it removes {percent(last[0].heldout_drop)} "
+            "of the mean square"
         )
     if r.reason == "unknown_effect" and r.steps:
         return "what is still missing is not in the catalogue"

@@ -188,6 +188,14 @@ def test_the_number_that_is_most_out_of_date_is_named_beside_delays() -> None:
     assert moved.now == pytest.approx(3.0, abs=0.2)
 
 
+def known_by(errors: tuple[float, ...], expansion: float) -> Model:
+    """A model of earlier readings: a scale, a backlash and an expansion, with their standard errors."""
+    told = effects("scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2",
+                   f"axis_expansion,component=EXX,axis=X,sensor=T_bed,k={expansion}")  # fmt: skip
+    fitted = [replace(f, errors=dict.fromkeys(f.values, e)) for f, e in zip(told, errors, strict=True)]
+    return Model(small_machine(), tuple(fitted), name="known")
+
+
 @pytest.mark.parametrize(("swing_um", "believed"), [(4.0, 6.0), (8.0, 4.0)])
 def test_an_addition_is_judged_by_the_same_numbers_before_and_after(swing_um: float, believed: float) -> None:
     """A slow swing of the scale keeps what was known of an expansion; free numbers follow it, before and after a bow.
@@ -195,11 +203,7 @@ def test_an_addition_is_judged_by_the_same_numbers_before_and_after(swing_um: fl
     The error with free numbers before had been held against the error beside what was known after: 0.59 to 0.66 µm,
     though the bow lowers both. Oracle: the bow that was made.
     """
-    told = (*effects("scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2"),
-            *effects(f"axis_expansion,component=EXX,axis=X,sensor=T_bed,k={believed}"))  # fmt: skip
-    sure = (1.0, 0.08, 0.5)
-    fitted = [replace(f, errors=dict.fromkeys(f.values, e)) for f, e in zip(told, sure, strict=True)]
-    model = Model(small_machine(), tuple(fitted), name="known")
+    model = known_by((1.0, 0.08, 0.5), believed)
     bow = "polynomial_position,component=EXX,axis=X,degrees=[2,3],c2=0.5,c3=0"
     truth = ["scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2", bow]
     truth.append("axis_expansion,component=EXX,axis=X,sensor=T_bed,k=6")
@@ -221,11 +225,7 @@ def test_what_was_known_does_not_make_an_addition_fit_worse_than_nothing(seed: i
 
     `diagnose` leaves the numbers free, and `add` had refused what it printed. Oracle: the growth that was made.
     """
-    told = effects("scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2",
-                   "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=6")  # fmt: skip
-    sure = (0.4, 0.05, 0.05)
-    fitted = [replace(f, errors=dict.fromkeys(f.values, e)) for f, e in zip(told, sure, strict=True)]
-    model = Model(small_machine(), tuple(fitted), name="known")
+    model = known_by((0.4, 0.05, 0.05), 6.0)
     by_air = "axis_expansion,component=EXX,axis=X,sensor=T_air,k=3"
     truth = ["scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2", by_air]
     truth.append("axis_expansion,component=EXX,axis=X,sensor=T_bed,k=6")

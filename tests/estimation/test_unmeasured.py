@@ -1,10 +1,14 @@
 """Motions that an added angle brings along and that nobody measured. Oracle: the arms of the machine, by hand."""
 
+from dataclasses import replace
+
 import pytest
 
 from rtec.characterise import characterise, read_wanted
 from rtec.diagnosis.extend.add import Added, add, asked_effect
 from rtec.diagnosis.extend.improve import improve
+from rtec.estimation.outliers import clean
+from rtec.estimation.unmeasured import unmeasured_motions
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.history import added_page, improved_page
@@ -58,3 +62,18 @@ def test_a_shift_has_no_other_arm() -> None:
     model = Model(small_machine(), effects(), name="test")
     (scale,) = effects(SCALE)
     assert not add(model, [scale], BEAMS).unmeasured
+
+
+def test_a_file_that_lacks_a_channel_shows_no_motion() -> None:
+    """A bar's model may have an inertia; a file that was read in motion has no acceleration."""
+    (inertia,) = effects("inertia,component=EXX,axis=X,k=2")
+    read = clean([BEAMS[0]]).readings
+    moving = read.with_states([replace(s, at_rest=False) for s in read.states])
+    assert unmeasured_motions([inertia], moving) == ()
+
+
+def test_a_direction_that_follows_from_the_positions_is_no_missing_channel() -> None:
+    bare = replace(BEAMS[0], channels={name: v for name, v in BEAMS[0].channels.items() if name != "d_x"})
+    (tilt,) = effects(TILT)
+    (motion,) = unmeasured_motions([tilt], clean([bare]).readings)
+    assert motion.um == pytest.approx(40.0 * ARM_MM * 1e-3)

@@ -6,10 +6,11 @@ from rtec.characterise import characterise
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
+from rtec.estimation.warmth import expands_much
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.history import improved_page
-from tests.support.diagnosis_examples import laser, small_machine
+from tests.support.diagnosis_examples import effects, laser, small_machine
 
 SCALE = "scale,component=EXX,axis=X,k=12"
 GROWTH = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=10"
@@ -49,3 +50,10 @@ def test_nothing_grows_so_much() -> None:
     worn = day(["scale,component=EXX,axis=X,k=130"], 5, 23.0)
     (changed,) = diagnose(first(), [worn], draws=50, explain=True).changed
     assert changed.warmer is None
+
+
+def test_an_angle_that_grows_along_an_axis_is_no_expansion_of_a_material() -> None:
+    """A guide of 1 m and 0.3 m high whose top is 1 K warmer turns by 11 µm / 0.3 m, 37 µrad."""
+    expansion, turn = effects(GROWTH, "axis_expansion,component=EBX,axis=X,sensor=T_bed,k=37")
+    assert expands_much(expansion.effect, 37.0, 1.0)
+    assert not expands_much(turn.effect, 37.0, 1.0)

@@ -74,7 +74,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
         [("Drift", "displacement, µm", {"axial": (NOISE[:25], np.sqrt(HOURS))}),
          ("Temperatures", "change since the start, K", {"T_bed": (HOURS, np.full(25, np.nan))})],
     ),
-    "falling": lambda: drawn(fit.falling, np.array([100.0, 30.0, 9.0]), np.array([106.0, 35.0, 12.0])),
+    "falling": lambda: drawn(fit.falling, *np.array([[0.0, 3.0, 4.0], [100.0, 30.0, 9.0], [106.0, 35.0, 12.0]])),
     "residuals": lambda: drawn(fit.residuals, [("laser", "µm", HOURS, NOISE[None, :25])]),
     "rivals": lambda: drawn(
         diagnosis.rivals,
