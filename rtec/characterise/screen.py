@@ -57,14 +57,14 @@ class Screened:
         seen: component errors that influence the readings.
         candidates: geometry of all components, and the kept candidates.
         correlations: of each component with every candidate that depends on temperature or speed, best first.
-        unused: sensors that are no candidates, and why, in words.
+        unused: why sensors are no candidates, and what to do about it, in words.
     """
 
     sources: tuple[Source, ...]
     seen: tuple[VisibleComponent, ...]
     candidates: tuple[TermCandidate, ...]
     correlations: tuple[Correlation, ...]
-    unused: tuple[str, ...]
+    unused: tuple[tuple[str, str], ...]
 
 
 def screen(

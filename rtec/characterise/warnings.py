@@ -111,7 +111,7 @@ def all_warnings(
     judged: Judgement,
     undecided: Sequence[UndecidedTerm],
     same: Sequence[tuple[Term, Term, float]],
-    unused: Sequence[str],
+    unused: Sequence[tuple[str, str]],
 ) -> list[Warn]:
     """All warnings, the most important ones first."""
     found = [
@@ -133,8 +133,7 @@ def all_warnings(
         *_few_blocks(fit),
         *_outliers(judged),
     ]
-    keep = "let it warm up more, or leave the sensor out of the machine file"
-    return found + [Warn("sensor_unused", text, keep) for text in unused]
+    return found + [Warn("sensor_unused", text, way) for text, way in unused]
 
 
 def _confounded(same: Sequence[tuple[Term, Term, float]]) -> list[Warn]:

@@ -4,6 +4,7 @@ Its own codes bypass the shield of standard output and error (`rtec.cli.main`).
 """
 
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import IO, Any
 
 import rich.console
@@ -34,6 +35,16 @@ class Console(rich.console.Console):
     @file.setter
     def file(self, new_file: IO[str]) -> None:
         self._file = new_file
+
+    def on_broken_pipe(self) -> None:
+        """The reader of the output has ended, as `head` does: no failure, but nobody reads any more.
+
+        Raises:
+            SystemExit: status 0.
+        """
+        with suppress(SystemExit):
+            super().on_broken_pipe()
+        raise SystemExit(0)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render as rich, with every text cleaned."""

@@ -310,7 +310,11 @@ def test_faults_of_the_measurements() -> None:
     with pytest.raises(MeasurementError, match=r"row 13: T_bed is missing \(2 rows"):
         characterise([gap], wanted=read_wanted("mount_expansion:EXX:sensor=T_bed", MACHINE))
     result = characterise([gap])
-    assert any(w.code == "sensor_unused" and "T_bed" in w.text for w in result.warnings)
+    assert any(w.code == "sensor_unused" and "T_bed" in w.text and "write" in w.remedy for w in result.warnings)
+    whole = example(warm(m), seed=2)
+    other = replace(whole, name="without", channels={n: v for n, v in whole.channels.items() if n != "T_bed"})
+    said = {w.text: w.remedy for w in characterise([gap, other]).warnings if w.code == "sensor_unused"}
+    assert "T_bed_degc=VALUE" in said["T_bed is not used: without did not record it"]
 
 
 def test_sensor_that_hardly_varies_is_no_cause() -> None:

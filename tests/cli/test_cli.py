@@ -220,3 +220,14 @@ def test_the_package_runs_as_a_module() -> None:
     """Oracle: the program itself."""
     done = subprocess.run([sys.executable, "-m", "rtec", "--version"], capture_output=True, text=True, check=True)
     assert re.fullmatch(r"rtec \S+", done.stdout.strip())
+
+
+def test_a_reader_that_has_seen_enough_is_no_failure() -> None:
+    """Oracle: a pipe whose reader has ended, as of `rtec effects | head -1`."""
+    reads, writes = os.pipe()
+    os.close(reads)
+    done = subprocess.run(
+        [sys.executable, "-m", "rtec", "effects"], stdout=writes, stderr=subprocess.PIPE, text=True, check=False
+    )
+    os.close(writes)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -231,6 +231,7 @@ REAL_K = 0.5
 """A temperature that varies by less shows only its sensor's noise."""
 INNER = (1.0, 99.0)
 """Percentiles between which a temperature's variation is taken: single wrong readings do not count."""
+LEAVE_OUT = "leave the sensor out of the machine file"
 REAL_RPM = 1.0
 
 
@@ -239,21 +240,25 @@ def reads(source: Source, component: str) -> bool:
     return bool(source.longest_arms[source.measurement.machine.components.index(component)] > NO_ARM)
 
 
-def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[str]]:
-    """Sensors that every measurement has and that vary by at least 0.5 K; and why others are not among them."""
+def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[tuple[str, str]]]:
+    """Sensors that every measurement has and that vary by at least 0.5 K; why others are not among them, and what to
+    do about it.
+    """
     good: list[str] = []
-    why: list[str] = []
+    why: list[tuple[str, str]] = []
     still: dict[str, float] = {}
     for sensor in sources[0].measurement.machine.sensor_names:
         series = [s.measurement.channels.get(sensor) for s in sources]
         if any(v is None for v in series):
             missing = [s.measurement.name for s, v in zip(sources, series, strict=True) if v is None]
             if len(missing) < len(series):
-                why.append(f"{sensor} is not used: {', '.join(missing)} did not record it")
+                way = f"write the temperature into them (rtec import --answer {sensor}_degc=VALUE), or {LEAVE_OUT}"
+                why.append((f"{sensor} is not used: {', '.join(missing)} did not record it", way))
             continue
         whole = np.concatenate([v for v in series if v is not None])
         if not np.isfinite(whole).all():
-            why.append(f"{sensor} is not used: {int((~np.isfinite(whole)).sum())} of its readings are missing")
+            lost = f"{sensor} is not used: {int((~np.isfinite(whole)).sum())} of its readings are missing"
+            why.append((lost, f"write them into the file, or {LEAVE_OUT}"))
         elif (varied := float(np.ptp(np.percentile(whole, INNER)))) < REAL_K:
             still[sensor] = varied
         else:
@@ -261,13 +266,14 @@ def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[str]]:
     return good, [*why, *_still(still)]
 
 
-def _still(varied_k: dict[str, float]) -> list[str]:
-    """One sentence for all sensors that hardly varied."""
+def _still(varied_k: dict[str, float]) -> list[tuple[str, str]]:
+    """One sentence for all sensors that hardly varied, and what to do."""
     if not varied_k:
         return []
     are = "is" if len(varied_k) == 1 else "are"
     listed = ", ".join(f"{name} ({k:.2f} K)" for name, k in varied_k.items())
-    return [f"{listed} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"]
+    text = f"{listed} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"
+    return [(text, f"let it warm up more, or {LEAVE_OUT}")]
 
 
 def lags_s(sources: Sequence[Source]) -> list[float]:
