@@ -29,7 +29,7 @@ def init(
     ] = None,
     template: Annotated[
         str | None,
-        typer.Option("--template", help="lathe, mill, bridge or axis, where no file says it.", show_default=False),
+        typer.Option("--template", help="lathe, mill, bridge or axis; alone: without devices.", show_default=False),
     ] = None,
     options: Annotated[
         list[str] | None,
@@ -65,6 +65,8 @@ def init(
 
     Example, copy a simulated turning centre into the folder configs: `rtec init --example`
 
+    Example, only measure for the time being, no devices: `rtec init lathe --template lathe`
+
     Example, print an answers file to fill in: `rtec init --template lathe --print-answers`
 
     Example, ask nothing: `rtec init lathe --answers lathe-answers.toml --set axis.X.resolution_um=0.5`
@@ -85,12 +87,12 @@ def init(
     if print_answers:
         _print_answers(template or "lathe")
         return
-    if answers is None and not options and not sys.stdin.isatty():
+    asks = answers is None and template is None and not options
+    if asks and not sys.stdin.isatty():
         raise ConfigError(
-            "rtec init: no terminal to ask at; give --answers FILE, or --example "
+            "rtec init: no terminal to ask at; give --answers FILE, --template lathe, or --example "
             "(`rtec init --template lathe --print-answers` prints a file to fill in)"
         )
-    asks = answers is None and not options
     if asks and not force:
         _refuse_to_replace(folder)
     with interruptible():
@@ -98,13 +100,24 @@ def init(
         written = _write(tables, source, folder, force, keep_answers=asks)
     for path in written:
         typer.echo(f"Written: {path}")
-    run = next(path for path in written if path.name == "run.toml")
+    run = next((path for path in written if path.name == "run.toml"), None)
+    if run is None:
+        _measure_first(folder)
+        return
     if check and _ready(run):
         typer.echo(f"Next: {_first_run(run)}")
         return
     typer.echo(f"Next: {join(['rtec', 'doctor', str(run)])}")
     if check:
         raise typer.Exit(1)
+
+
+def _measure_first(folder: Path) -> None:
+    """What to do with a machine that has no devices yet."""
+    machine = folder / "machine.toml"
+    typer.echo(f"No devices, so no run.toml. Check travel, tool and sensors in {machine}.")
+    typer.echo(f"Next: {join(['rtec', 'import', 'FILE', '--machine', str(machine), '-o', 'NAME'])}")
+    typer.echo(f"Devices later: rtec init {quote(str(folder))} --force asks again; --answers FILE asks nothing.")
 
 
 def _refuse_to_replace(folder: Path) -> None:
@@ -134,7 +147,7 @@ def _adopt(controller: str, ini: Path, copy: Path | None, answers: Path | None, 
     import shutil
 
     from rtec.commission.answers import answers_from, with_answers
-    from rtec.commission.write import checked_setup
+    from rtec.commission.write import check
     from rtec.errors import ConfigError
     from rtec.loop.devices import driver_class
 
@@ -147,7 +160,7 @@ def _adopt(controller: str, ini: Path, copy: Path | None, answers: Path | None, 
     if tables["sensors"] and "temperatures" not in tables["role"]:
         tables["role"]["temperatures"] = [tables["role"]["counts"]]
     folder = copy or ini.resolve().parent.with_name(f"{ini.resolve().parent.name}-rtec")
-    checked_setup(answers_from(tables, str(ini)), folder)
+    check(answers_from(tables, str(ini)), folder)
     with interruptible():
         difference = adopted.copy(folder, list(tables["sensors"]))
         try:
@@ -234,10 +247,13 @@ def _ask_user(seconds: float, folder: Path) -> tuple[dict[str, Any], str]:
 
     interview = Interview(talk, clock, shown)
     tables = interview.tables()
+    role = answers_from(tables, "answers").role
+    if role is None:
+        return tables, "answers"
 
     def watched() -> Mapping[str, float]:
         now = answers_from(tables, "answers")
-        with live(machine_of(now), now.device, now.role, clock, folder.resolve()) as values:
+        with live(machine_of(now), now.device, role, clock, folder.resolve()) as values:
             change = shown(values)
             for device, trouble in values.troubles.items():
                 talk.say(f"{device}: {trouble}")
@@ -283,10 +299,10 @@ def _write(tables: dict[str, Any], source: str, folder: Path, force: bool, *, ke
 
     from rtec.commission.answers import answers_from
     from rtec.commission.example import write_together
-    from rtec.commission.write import checked_setup, texts
+    from rtec.commission.write import check, texts
 
     answers = answers_from(tables, source)
-    checked_setup(answers, folder)
+    check(answers, folder)
     files = {Path(name): text for name, text in texts(answers).items()}
     if keep_answers:
         head = "# What rtec init was answered; `rtec init --answers answers.toml` writes the same files again.\n"

@@ -108,7 +108,7 @@ class Answers(Strict):
         axis: axes by name.
         link: offset of a fixed link from the one before it, mm; a link without an entry is at the one before it.
         sensors: names of the temperature sensors.
-        role: which device reads and corrects, by its name in `device`.
+        role: which device reads and corrects, by its name in `device`; None: only files are measured, there is no run.
         device: devices, as in a run file.
         limits: limits of the correction.
         output: `[output]` of every corrected axis, where the actuator takes no counts; not given: from the device.
@@ -126,8 +126,8 @@ class Answers(Strict):
     axis: dict[str, AxisAnswer]
     link: dict[Name, Vector] = Field(default_factory=dict)
     sensors: tuple[Name, ...] = ()
-    role: Roles
-    device: dict[str, dict[str, Any]]
+    role: Roles | None = None
+    device: dict[str, dict[str, Any]] = Field(default_factory=dict)
     limits: LimitAnswer = LimitAnswer()
     output: dict[str, Any] | None = None
     rate_hz: Annotated[float, Field(ge=1, le=4000)] | None = None
@@ -135,6 +135,12 @@ class Answers(Strict):
     counts_max_age_s: SecondsPositive | None = None
     temperature_max_age_s: SecondsPositive = 30.0
     log_folder: Path = Path("logs")
+
+    @model_validator(mode="after")
+    def _role_of_devices(self) -> Self:
+        if self.device and self.role is None:
+            raise ValueError("[device.NAME] needs [role], which says what each device is for")
+        return self
 
 
 def template_tables(name: str) -> dict[str, Any]:

@@ -37,7 +37,7 @@ class Interview:
         self.sure: set[str] = set()
 
     def tables(self) -> Tables:
-        """Ask everything; the tables of an answers file."""
+        """Ask everything; the tables of an answers file, without `role` and `device` if there are no devices yet."""
         say = self._talk.say
         say("Which machine? " + "; ".join(f"{name}: {what}" for name, what in TEMPLATES.items()))
         template = self._one_of("template", list(TEMPLATES), "lathe")
@@ -48,6 +48,9 @@ class Interview:
         say("\nTemperature sensors, letters, digits and _, with blanks between; - for none")
         sensors = self._talk.ask("sensors", " ".join(base["sensors"]))
         out["sensors"] = [] if sensors == "-" else sensors.replace(",", " ").split()
+        say("\nDevices: the encoders, the sensors and the control, as this PC reads and writes them")
+        if self._talk.ask("name them now (y), or only measure with files for the time being (n)", "y") != "y":
+            return out
         out["device"], out["role"] = {}, {}
         self._ports()
         axes = tuple(base["axis"])

@@ -11,7 +11,7 @@ from rtec.commission.answers import FOLDER, Answers, AxisAnswer, template_tables
 from rtec.correction.flags import CYCLES_OF_AGE
 from rtec.loop.clock import RealClock
 from rtec.loop.devices import make_devices
-from rtec.loop.run_file import Setup, setup_of
+from rtec.loop.run_file import Roles, setup_of
 from rtec.machine import Machine, machine_from
 from rtec.model import Model
 
@@ -65,8 +65,9 @@ slew_um_s = 20.0"""
 
 
 def texts(answers: Answers) -> dict[str, str]:
-    """The three files by name."""
-    return {MACHINE: machine_text(answers), RUN: run_text(answers), MODEL: model_text(answers)}
+    """The files by name; without devices there is no run file."""
+    run = {} if answers.role is None else {RUN: run_text(answers, answers.role)}
+    return {MACHINE: machine_text(answers), **run, MODEL: model_text(answers)}
 
 
 def machine_of(answers: Answers) -> Machine:
@@ -78,16 +79,17 @@ def machine_of(answers: Answers) -> Machine:
     return machine_from(tomllib.loads(machine_text(answers)), MACHINE)
 
 
-def checked_setup(answers: Answers, folder: Path) -> Setup:
-    """The run that `run.toml` will describe, checked with all its devices; nothing is written or opened.
+def check(answers: Answers, folder: Path) -> None:
+    """Check the machine, and the run that `run.toml` will describe with all its devices; nothing is written or opened.
 
     Raises:
-        ConfigError: a role without a device, options that a driver refuses, an output that the actuator refuses.
+        ConfigError: chains and axes that do not fit together, a role without a device, options that a driver refuses,
+            an output that the actuator refuses.
     """
-    machine, data = machine_of(answers), tomllib.loads(run_text(answers))
-    setup = setup_of(data, folder / RUN, machine, Model(machine))
-    make_devices(setup, RealClock())
-    return setup
+    machine = machine_of(answers)
+    if answers.role is not None:
+        data = tomllib.loads(run_text(answers, answers.role))
+        make_devices(setup_of(data, folder / RUN, machine, Model(machine)), RealClock())
 
 
 def answers_text(template: str) -> str:
@@ -128,13 +130,13 @@ def machine_text(answers: Answers) -> str:
     return "\n".join(parts)
 
 
-def run_text(answers: Answers) -> str:
+def run_text(answers: Answers, role: Roles) -> str:
     """`run.toml`."""
-    driver = str(answers.device.get(answers.role.counts, {}).get("driver", ""))
+    driver = str(answers.device.get(role.counts, {}).get("driver", ""))
     usual_hz, max_age_s = SLOW.get(driver, FAST)
     rate_hz = answers.rate_hz or usual_hz
     corrected = [name for name, axis in answers.axis.items() if axis.compensate]
-    limits, sink = answers.limits.of_axis.model_dump(), sink_of(answers)
+    limits, sink = answers.limits.of_axis.model_dump(), sink_of(answers, role)
     run: dict[str, Any] = {
         "machine": MACHINE,
         "model": MODEL,
@@ -150,7 +152,7 @@ def run_text(answers: Answers) -> str:
         '# mode: "hold" moves nothing after a start; "on" corrects, once the model was measured.\n'
         + _table("run", run),
         "# Which device reads the counts and the temperatures, and which takes the correction.\n"
-        + _table("role", answers.role.model_dump(exclude_none=True, exclude_defaults=True)),
+        + _table("role", role.model_dump(exclude_none=True, exclude_defaults=True)),
         "# Devices. `rtec drivers NAME` lists the options of a driver.\n"
         + tomli_w.dumps({"device": answers.device}).replace("[device]\n", "", 1).lstrip(),
         "# Limits of each axis' correction: beyond warning_um it is flagged, beyond stop_um not followed.\n"
@@ -185,11 +187,11 @@ def model_text(answers: Answers) -> str:
     )
 
 
-def sink_of(answers: Answers) -> dict[str, Any] | None:
+def sink_of(answers: Answers, role: Roles) -> dict[str, Any] | None:
     """`[output.X]` of the corrected axes; None where the actuator takes counts, which needs no table."""
     if answers.output is not None:
         return answers.output
-    device = answers.device.get(answers.role.actuator or "", {})
+    device = answers.device.get(role.actuator or "", {})
     unit_um = device.get("resolution_um", device.get("unit_um"))
     kind = device.get("actuator", "origin_offset" if unit_um is not None else "pulse")
     if kind == "pulse":

@@ -21,6 +21,7 @@ from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
 from rtec.loop.clock import RealClock
 from rtec.machine import load_machine
+from rtec.metrology.files.load import load_measurement
 from rtec.model import FittedEffect, Model, save_model
 from rtec.tomlfile import read_toml
 from rtec_drivers.ascii.driver import pattern, places_of
@@ -214,7 +215,8 @@ class Keys(io.StringIO):
 LENGTHS = ["", "", "", ""]  # travel, resolution and pitch of an axis: the template's
 
 
-START = ["lathe", "L 3", *LENGTHS, *LENGTHS, ""]
+MACHINE = ["lathe", "L 3", *LENGTHS, *LENGTHS, ""]
+START = [*MACHINE, "y"]  # devices: yes
 
 
 def typed(devices: Lathe) -> list[str]:
@@ -401,9 +403,37 @@ def test_the_answers_file_of_every_template_is_one(template: str, tmp_path: Path
     assert len(machine.components) > 6
 
 
-def test_a_template_without_devices_names_what_is_missing() -> None:
-    with pytest.raises(ConfigError, match="key 'role' is missing"):
-        answers_from({"template": "mill"}, "a")
+def test_devices_without_a_role_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"needs \[role\]"):
+        answers_from({"template": "mill", "device": {"a": {"driver": "sim"}}}, "a")
+
+
+@pytest.mark.usefixtures("no_ports")
+def test_only_measuring_needs_no_devices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the loader of machine files, and a table of readings that is imported with the machine, as it says next.
+
+    By questions and by a template alone the same files come out.
+    """
+    monkeypatch.setattr("sys.stdin", Keys([*MACHINE, "n"]))
+    asked, named = tmp_path / "asked", tmp_path / "named"
+    assert status(["init", str(asked)]) == 0
+    assert "rtec import FILE --machine" in capsys.readouterr().out
+    assert status(["init", str(named), "--template", "lathe", "--set", "name=L 3"]) == 0
+    for name in ("machine.toml", "model.toml"):
+        assert (asked / name).read_text() == (named / name).read_text()
+    assert {p.name for p in named.iterdir()} == {"machine.toml", "model.toml"}
+    assert load_machine(named / "machine.toml").name == "L 3"
+    table = tmp_path / "laser.csv"
+    table.write_text("X_mm,deviation_um\n" + "".join(f"{x},{x / 50.0}\n" for x in range(0, 200, 10)))
+    machine = str(named / "machine.toml")
+    assert (
+        status(["import", str(table), "--machine", machine, "--answer", "axis=X", "-o", str(tmp_path / "laser-x")]) == 0
+    )
+    assert len(load_measurement(tmp_path / "laser-x.csv", load_machine(Path(machine)))) == 20
+    assert status(["init", str(tmp_path / "again"), "--answers", str(asked / "answers.toml")]) == 0
+    assert (tmp_path / "again" / "machine.toml").read_text() == (asked / "machine.toml").read_text()
 
 
 @pytest.mark.parametrize(
