@@ -43,7 +43,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean, clean
-from rtec.estimation.readings import Readings
+from rtec.estimation.readings import Readings, faults_of
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
 from rtec.estimation.warmth import EXPANDS, SURE
@@ -528,15 +528,7 @@ def _without_wrong(sources: Sequence[Source], given: Clean) -> list[Source]:
 def _check(measurements: Sequence[Measurement]) -> None:
     if not measurements:
         raise Fault("fit: no measurement was given")
-    machine = measurements[0].machine
-    faults = [
-        f"{m.name}: measured on machine {m.machine.name!r}, which is not that of {measurements[0].name}"
-        for m in measurements
-        if m.machine.hash != machine.hash
-    ]
-    faults += [f"{m.name}: has no reading" for m in measurements if not np.isfinite(m.matrix()).any()]
-    names = [m.name for m in measurements]
-    faults += [f"{n}: given twice" for n in sorted({n for n in names if names.count(n) > 1})]
+    faults = faults_of(measurements)
     faults += [_missing(m, a.channel) for m in measurements for a in m.machine.axes if _gaps(m, a.channel)]
     if faults:
         raise Fault("\n".join(faults))

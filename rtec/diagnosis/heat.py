@@ -15,7 +15,8 @@ from rtec.estimation.gls import Fit, without_runs
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
-from rtec.wording import ERROR_UNITS, number
+from rtec.estimation.warmth import expands_much
+from rtec.wording import ERROR_UNITS, number, significant
 
 Floats = NDArray[np.float64]
 
@@ -159,6 +160,25 @@ def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> 
         )
         return Doubt("dead_sensor", message, "Check it, and measure again.", fatal=True)
     return None
+
+
+def more_than_any_material(readings: Readings, effect: Effect, k: float, error: float) -> Doubt | None:
+    """Doubt where a screw or scale would have to expand more than any material does; None where it would not.
+
+    Args:
+        readings: the readings.
+        effect: the candidate for a name.
+        k: its first number.
+        error: its standard error.
+    """
+    if not expands_much(effect, k, error):
+        return None
+    sensor = getattr(effect, "sensor", "the sensor")
+    message = (
+        f"{effect.label} would need {significant(k)} µm/(m·K), and no material of a machine expands so much: the "
+        f"readings follow heat that {sensor} does not show."
+    )
+    return Doubt("no_temperature", message, _to_record(readings, readings.series[0]), fatal=True)
 
 
 def own_warm_up(label: str) -> Doubt:

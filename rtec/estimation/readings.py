@@ -6,6 +6,7 @@ holds the series one after the other, without NaN readings and wrong ones.
 Also: a subset of very many readings for a quick screen.
 """
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -313,17 +314,32 @@ def _folds(blocks: Blocks) -> Ints:
 def _check(measurements: Sequence[Measurement]) -> None:
     if not measurements:
         raise MeasurementError("no measurement was given")
-    first = measurements[0]
+    if faults := faults_of(measurements):
+        raise MeasurementError("\n".join(faults))
+
+
+def faults_of(measurements: Sequence[Measurement]) -> list[str]:
+    """Why measurements cannot be used together, in words: other machines, no readings, the same readings twice."""
+    first, names = measurements[0], [m.name for m in measurements]
     faults = [
         f"{m.name}: measured on machine {m.machine.name!r}, which is not that of {first.name}"
         for m in measurements
         if m.machine.hash != first.machine.hash
     ]
-    names = [m.name for m in measurements]
-    faults += [f"{n}: given twice" for n in sorted({n for n in names if names.count(n) > 1})]
     faults += [f"{m.name}: has no reading" for m in measurements if not np.isfinite(m.matrix()).any()]
-    if faults:
-        raise MeasurementError("\n".join(faults))
+    faults += [f"{n}: given twice" for n in sorted({n for n in names if names.count(n) > 1})]
+    for one, other in itertools.combinations(measurements, 2):
+        if one.name != other.name and _copied(one, other):
+            faults.append(f"{other.name}: the same readings as {one.name}; leave one out")
+    return faults
+
+
+def _copied(one: Measurement, other: Measurement) -> bool:
+    """Whether two files have the same readings at the same times, channel by channel."""
+    pairs = ((one.readings, other.readings), (one.channels, other.channels))
+    return np.array_equal(one.time_s, other.time_s) and all(
+        a.keys() == b.keys() and all(np.array_equal(a[n], b[n], equal_nan=True) for n in a) for a, b in pairs
+    )
 
 
 MIX = np.uint64(0x9E3779B97F4A7C15)

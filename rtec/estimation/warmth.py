@@ -24,9 +24,10 @@ EXPANDS, SURE = 25.0, 2.0
 def expands_much(effect: Effect, k: float, error: float) -> bool:
     """Whether a screw or scale would expand more than any material of a machine, beyond two standard errors.
 
-    An angle that grows along an axis is no expansion of a material.
+    A number known to no better than such an expansion is none that a machine has, either: two that cancel each other
+    on one day are large and uncertain. An angle that grows along an axis is no expansion of a material.
     """
-    return _of_a_length(effect) and isinstance(effect, AxisExpansion) and abs(k) - SURE * error > EXPANDS
+    return _of_a_length(effect) and isinstance(effect, AxisExpansion) and abs(k) - SURE * min(error, EXPANDS) > EXPANDS
 
 
 def _of_a_length(effect: Effect) -> bool:

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,8 @@ from rtec.wording import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
+HALF = 0.5
+"""A number has changed if at least this share of what a refit found remains beside the effects that were added."""
 WHY_ENDED = {
     "nothing_missing": "no effect is missing that these readings could show",
     "undecided": "these readings do not decide what is missing",
@@ -121,11 +124,21 @@ def _before_and_after(a: Added) -> Section:
     return Section("Before and after", words, table)
 
 
-def _refit_words(refit: Added) -> str:
-    """The error before and after a refit of the model's own numbers."""
+def _refit_words(refit: Added, model: Model) -> str:
+    """The error before and after a refit of the model's own numbers, and which of them have changed.
+
+    A number that made up for a missing effect, and is as before beside it, has not changed.
+
+    Args:
+        refit: the refit.
+        model: in the end.
+    """
     went = fell(refit.before, refit.after, ERROR_UNITS[refit.unit])
-    why = of_changes(refit.changed) if refit.changed else "These readings refine the model's own numbers"
-    return f"{why}; refitted, the residual on held-out runs {went}.{of_warmth(refit.changed)} "
+    values = {(f.label, n): v for f in model.effects for n, v in f.values.items()}
+    ends = [replace(c, now=values.get((c.effect, c.name), c.now)) for c in refit.changed]
+    changed = [e for e, c in zip(ends, refit.changed, strict=True) if abs(e.now - e.was) > HALF * abs(c.now - c.was)]
+    why = of_changes(changed) if changed else "These readings refine the model's own numbers"
+    return f"{why}; refitted, the residual on held-out runs {went}.{of_warmth(changed)} "
 
 
 def improved_page(r: Improved, figures: bool = True) -> Page:
@@ -135,7 +148,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         r: the improvement.
         figures: whether to draw.
     """
-    refit = _refit_words(r.refit) if r.refit else ""
+    refit = _refit_words(r.refit, r.model) if r.refit else ""
     if not r.steps:
         lead = f"{refit}No effect was added: {_why_ended(r)}."
         said = r.reason in ("unknown_effect", "nothing_missing")  # by the verdict
@@ -192,6 +205,8 @@ def _next(r: Improved) -> list[str]:
 
 def _why_ended(r: Improved) -> str:
     """Why the improvement ended, in words."""
+    if r.impossible:
+        return " ".join(r.impossible).rstrip(".")
     if r.reason == "no_gain" and r.cancelling:
         return not_determined(r.cancelling)
     last = r.diagnoses[-1].findings[:1] if r.reason == "no_gain" else ()

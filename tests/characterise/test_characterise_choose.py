@@ -302,6 +302,8 @@ def test_faults_of_the_measurements() -> None:
         characterise([])
     with pytest.raises(MeasurementError, match="given twice"):
         characterise([m, m])
+    with pytest.raises(MeasurementError, match="copy: the same readings as m; leave one out"):
+        characterise([m, replace(m, name="copy")])
     with pytest.raises(MeasurementError, match="has no reading"):
         characterise([replace(m, readings={"reading_um": np.full(len(m), np.nan)})])
     degc = m.channels["T_bed"].copy()

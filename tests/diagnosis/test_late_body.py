@@ -148,7 +148,7 @@ def test_what_is_significant_is_never_called_nothing(monkeypatch: pytest.MonkeyP
 def test_a_temperature_that_hardly_varied_is_given_as_the_reason() -> None:
     """The air varied by 0.6 °C. The addition would lower the error, so that "less than 2 %" would be untrue."""
     m = line(9, growth=8.0)
-    air = 0.06 * m.channels["x"] * (m.channels["T_air"] - 20.0)
+    air = 0.024 * m.channels["x"] * (m.channels["T_air"] - 20.0)
     m = replace(m, readings={"reading_um": m.readings["reading_um"] + air})
     known = fitted_model([m], wanted=read_wanted("scale:EXX,axis_expansion:EXX:sensor=T_bed", m.machine))
     done = improve(known, [m], draws=50)

@@ -16,6 +16,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.extend.add import add, refused
 from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -130,6 +131,14 @@ def test_an_exchange_is_seen_beside_a_number_that_is_out_of_date(seed: int) -> N
     assert improve(fitted(), [wrong], draws=50).model.hash == fitted().hash
 
 
+@pytest.mark.parametrize("seed", [14, 17, 19])
+def test_an_exchange_is_seen_beside_several_numbers_that_are_out_of_date(seed: int) -> None:
+    """Undone, the exchange leaves several times the noise; with new numbers what the fit left, and no effect is new."""
+    wrong = exchanged(day(seed, {"growth": 12.5, "scale": 13.0}), "T_screw", "T_bed")
+    assert [d.kind for d in fatal(wrong)] == ["swapped_sensors"]
+    assert improve(fitted(), [wrong], draws=50).model.hash == fitted().hash
+
+
 @pytest.mark.parametrize("seed", [21, 22, 23])
 @pytest.mark.parametrize("new", [{}, {"scale": 14.0}, {"growth": 15.0}, {"play": 9.0}, {"mount": 0.9}, {"bow": 6.0}])
 def test_a_machine_that_changed_is_no_fault_of_its_record(new: Mapping[str, float], seed: int) -> None:
@@ -233,3 +242,24 @@ def test_a_clock_that_no_effect_replaces_is_asked_about_above_the_noise(seed: in
 def test_a_delay_is_no_clock_above_the_noise_either(lag_s: float, seed: int) -> None:
     lags = day(seed, BENT, 30.0, lag_s)
     assert "late_temperatures" not in [d.kind for d in compare(rough(), [lags]).doubts]
+
+
+def without_screw(m: Measurement) -> Measurement:
+    """The same where no sensor is on the screw, and the bed warms by a twentieth of it."""
+    bed = 20.0 + 0.05 * (m.channels["T_screw"] - 20.0)
+    kept = {n: v for n, v in m.channels.items() if n not in ("T_screw", "T_head", "T_bed")}
+    return replace(m, channels={**kept, "T_bed": bed})
+
+
+@pytest.mark.parametrize("seed", [42, 43])
+def test_a_bed_that_shows_a_twentieth_of_the_heat_expands_as_no_material_does(seed: int) -> None:
+    """The screw grows by 11 µm/(m·K), the bed would have to by 220. Nothing is written, and the screw is asked for."""
+    model = Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN[:2]), name="lathe")
+    warm = without_screw(day(seed, {"mount": 0.0}))
+    d = diagnose(model, [warm], draws=50)
+    assert d.verdict == "undecided"
+    assert re.search(r"T_bed\)(, .*)? would need 2\d\d µm/\(m·K\), and no material of a machine", d.sentence), (
+        d.sentence
+    )
+    assert "the screw or scale of Z" in d.sentence
+    assert improve(model, [warm], draws=50).model.hash == model.hash

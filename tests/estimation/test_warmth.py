@@ -3,13 +3,14 @@
 import pytest
 
 from rtec.characterise import characterise
+from rtec.diagnosis.extend.add import add
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
 from rtec.estimation.warmth import expands_much
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.report.history import improved_page
+from rtec.report.history import _refit_words, improved_page
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 SCALE = "scale,component=EXX,axis=X,k=12"
@@ -40,6 +41,15 @@ def test_the_warmer_day_is_said_with_the_expansion_that_would_do_it(seed: int) -
     assert "recorded_degc" in done.model.history[-1]
 
 
+def test_a_number_that_an_added_effect_sets_back_is_not_said_to_have_changed() -> None:
+    """Oracle: the numbers of the model in the end."""
+    refit = add(first(), [], [day([SCALE, GROWTH], 2, 23.0)])
+    assert "have changed since it was fitted: scale(EXX, X) k from " in _refit_words(refit, refit.model)
+    back = _refit_words(refit, first())
+    assert back.startswith("These readings refine the model's own numbers")
+    assert "warmer" not in back
+
+
 def test_a_scale_that_changed_at_the_same_temperature_is_no_warmth() -> None:
     worn = day(["scale,component=EXX,axis=X,k=42"], 4, 20.0)
     (changed,) = diagnose(first(), [worn], draws=50, explain=True).changed
@@ -56,4 +66,6 @@ def test_an_angle_that_grows_along_an_axis_is_no_expansion_of_a_material() -> No
     """A guide of 1 m and 0.3 m high whose top is 1 K warmer turns by 11 µm / 0.3 m, 37 µrad."""
     expansion, turn = effects(GROWTH, "axis_expansion,component=EBX,axis=X,sensor=T_bed,k=37")
     assert expands_much(expansion.effect, 37.0, 1.0)
+    assert expands_much(expansion.effect, 4000.0, 3000.0), "one of two that cancel"
+    assert not expands_much(expansion.effect, 37.0, 10.0)
     assert not expands_much(turn.effect, 37.0, 1.0)

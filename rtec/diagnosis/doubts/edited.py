@@ -80,8 +80,9 @@ def edited_record(judged: Judgement, measured: Floats, predicted: Floats) -> Edi
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     if found.residual <= min(BETTER * judged.residual, near):
         drifts = found.residual > NEAR_FLOOR * judged.noise_floor
-        return None if drifts and found.kind == "swapped_sensors" and _effect_does(judged, found) else found
-    return found if found.fatal and as_in_the_fit(judged, found) else None
+        by_effect = drifts and found.kind == "swapped_sensors" and _effect_does(judged, found)
+        return None if by_effect and not _exchanged_as_in_the_fit(judged, found) else found
+    return found if found.fatal and (as_in_the_fit(judged, found) or _exchanged_as_in_the_fit(judged, found)) else None
 
 
 def _by_far(judged: Judgement, found: Edit, usual: float | None) -> bool:
@@ -254,14 +255,44 @@ def _effect_does(judged: Judgement, found: Edit) -> bool:
     """
     if _as_well(judged, found.residual):
         return True
-    readings, noise = judged.readings, judged.noise_floor
+    exchanged, own = _refitted(judged, found), floor.cleaned(judged.readings, judged.base.columns)
+    beside = (np.hstack([own, _columns(judged, e)]) for e in _simple(judged))
+    return any(_less_above(_left_by(judged, b), exchanged, judged.noise_floor) for b in beside)
+
+
+def _refitted(judged: Judgement, found: Edit) -> float:
+    """Residual with some channels replaced and all numbers of the model refitted."""
+    readings = judged.readings
     changed = readings.with_states([with_channels(s, found.channels) for s in readings.states])
     there = base_of(judged.model, changed)
     own, left = (floor.cleaned(changed, v) for v in (there.columns, readings.values - there.predicted))
-    exchanged = judged.pooled(left - own @ solve(own, left))
-    own = floor.cleaned(readings, judged.base.columns)
-    beside = (np.hstack([own, _columns(judged, e)]) for e in _simple(judged))
-    return any(_less_above(_left_by(judged, b), exchanged, noise) for b in beside)
+    return judged.pooled(left - own @ solve(own, left))
+
+
+def _exchanged_as_in_the_fit(judged: Judgement, found: Edit) -> bool:
+    """Whether with two sensors exchanged and its numbers refitted the model leaves what its fit left, and without the
+    exchange no missing effect of one number beside it leaves clearly less.
+
+    The numbers that a model got on one day are never quite those of another. A new number of the effect that reads the
+    sensor leaves as little as the exchange then, where all others stay as they are.
+    """
+    usual = _error_of_fit(judged.model, judged.unit, judged.readings.measurements)
+    if found.kind != "swapped_sensors" or usual is None or found.residual > BETTER * judged.residual:
+        return False
+    exchanged = _refitted(judged, found)
+    if exchanged > NEAR_FIT * max(usual, judged.noise_floor):
+        return False
+    own, machine = floor.cleaned(judged.readings, judged.base.columns), judged.model.machine
+    sensors = set(machine.sensor_names)
+    for one in library(judged.readings)[0]:
+        effect = one.effect
+        warm = bool(sensors & set(effect.channels(machine)))
+        if len(effect.coefficients(machine)) > 1 or (effect.nonlinear(machine) and not warm):
+            continue
+        beside = (np.hstack([own, _columns(judged, effect, theta)]) for theta in one.thetas)
+        if any(AS_GOOD * _left_by(judged, b) < exchanged for b in beside):
+            return False
+    return True
 
 
 def _delay_does(judged: Judgement, found: Edit) -> bool:

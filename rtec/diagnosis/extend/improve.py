@@ -103,6 +103,7 @@ class Improved(Result):
         reason: why the search ended.
         refit: of the model's own numbers before all steps, where it lowered the held-out error.
         cancelling: effects of which these readings determine only the sum, where that refused the last addition.
+        impossible: numbers that no machine has, in words, where they refused it.
         events: what happened in one record; no term of the model.
     """
 
@@ -114,6 +115,7 @@ class Improved(Result):
     reason: Reason
     refit: Added | None = None
     cancelling: tuple[str, ...] = ()
+    impossible: tuple[str, ...] = ()
     events: tuple[RecordEvent, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
@@ -290,6 +292,7 @@ class _Growth:
         least_fall: float = -math.inf,
     ) -> None:
         self.cancelling: tuple[str, ...] = ()
+        self.impossible: tuple[str, ...] = ()
         self.events: list[RecordEvent] = []
         self.declined = False
         self.least_fall = least_fall
@@ -310,7 +313,7 @@ class _Growth:
         if not model.effects or any(d.kind != "wrong_scale" for d in in_doubt(Judgement(model, self.given))):
             return None  # the diagnosis reports the doubts; nothing is fitted to a doubtful record
         made = add(model, [], self.measurements, stage=self.stage, given=self.given)
-        if not gains(made.before, made.after, len(self.given.readings)) or not self._no_worse(made):
+        if made.impossible or not gains(made.before, made.after, len(self.given.readings)) or not self._no_worse(made):
             return None
         if alone and one_pass(self.given.readings) and not _at_floor(made):
             return None  # the numbers would absorb the missing effect: position, direction and heat are confounded
@@ -404,13 +407,15 @@ class _Growth:
             if added is None:
                 narrow = hardly_varied(model, picked.effect, self.given.readings)
                 reason: Reason = "narrow_range" if narrow else "no_gain"
-                cancelling = () if narrow else self.cancelling
-                return Improved(model, tuple(steps), tuple(diagnoses), reason, cancelling=cancelling)
+                ended = Improved(model, tuple(steps), tuple(diagnoses), reason)
+                return ended if narrow else replace(ended, cancelling=self.cancelling, impossible=self.impossible)
             model = self._taken(added, steps)
         return Improved(model, tuple(steps), tuple(diagnoses), "steps")
 
     def _taken(self, added: Added, steps: list[Added]) -> Model:
         """Report a step and keep it."""
+        end = fixed_end(added.model)
+        added = added if end is None or end in added.notes else replace(added, notes=(end, *added.notes))
         steps.append(added)
         self.own = added.own_kept
         if self.step:
@@ -454,7 +459,8 @@ class _Growth:
         """The same, the candidate first beside which the model's own numbers hold, though they look out of date.
 
         Of several that cannot be distinguished by these readings alone, the numbers that the model has from others
-        decide. None where the numbers are out of date beside each.
+        decide; one with more numbers than the first takes up what makes them look out of date, and decides nothing.
+        None where the numbers are out of date beside each.
         """
         first = _taken_alone(found, model.machine) if _proposes(found) and found.verdict != "undecided" else None
         if first is None or self.own < len(model.effects):
@@ -472,7 +478,9 @@ class _Growth:
         same = [replace(first, effect=f.effect, theta=f.theta, parameters={}, partner=None) for f in alike]
         known = [f.effect for f in found.findings]
         choices = [*_choices(found, first), *(f for f in same if f.effect not in known)]
-        lead = next((f for f in choices if hold(_new_effects(f, model))), None)
+        most = sum(len(f.values) for f in _new_effects(first, model))
+        lean = (f for f in choices if sum(len(n.values) for n in _new_effects(f, model)) <= most)
+        lead = next((f for f in lean if hold(_new_effects(f, model))), None)
         if lead is None:
             return None
         ordered = [replace(lead, accepted=found.findings[0].accepted), *(f for f in found.findings if f is not lead)]
@@ -547,7 +555,7 @@ class _Growth:
             added = self._added(model, new)
         except ModelError:
             return None
-        self.cancelling = added.undetermined
+        self.cancelling, self.impossible = added.undetermined, added.impossible
         return added if self._gains(added) else None
 
     def _added(self, model: Model, new: Sequence[FittedEffect]) -> Added:
@@ -563,9 +571,12 @@ class _Growth:
         return add(model, new, self.measurements, stage=self.stage, given=self.given, own=own, earlier=self.earlier)
 
     def _gains(self, added: Added) -> bool:
-        """Whether an addition is worth it: it predicts held-out runs better and cancels no effect of the model."""
+        """Whether an addition is worth it: it predicts held-out runs better, cancels no effect of the model, and gives
+        no part an expansion that no material has.
+        """
         return (
             not added.undetermined
+            and not added.impossible
             and added.after.held_out**2 <= (1.0 - self.least_fall) * added.before.held_out**2
             and gains(added.before, added.after, len(self.given.readings))
             and self._no_worse(added)

@@ -83,17 +83,16 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
 
 
 def fixed_end(model: Model) -> str | None:
-    """Where the fixed end of an expansion is by the last effect, its shift, in words; None where that is another."""
-    *others, last = model.effects
-    shift = last.effect
-    if not isinstance(shift, MountExpansion):
-        return None
-    grows = _grows(shift, replace(model, effects=tuple(others)))
-    if not isinstance(grows, AxisExpansion):
-        return None
-    f = next(f for f in others if f.effect == grows)
-    end_mm = grows.fixed_mm - 1000.0 * last.values["k"] / f.values["k"]
-    return f"with it the fixed end of {f.label} is at {end_mm:.0f} mm instead of {grows.fixed_mm:.0f} mm"
+    """Where the fixed end of an expansion is by its shift, one of which is the last effect, in words; None where the
+    last is another.
+    """
+    for shift in (f for f in model.effects if isinstance(f.effect, MountExpansion)):
+        grows = _grows(shift.effect, model)
+        f = next(f for f in model.effects if f.effect == grows)
+        if isinstance(grows, AxisExpansion) and model.effects[-1] in (shift, f):
+            end_mm = grows.fixed_mm - 1000.0 * shift.values["k"] / f.values["k"]
+            return f"with it the fixed end of {f.label} is at {end_mm:.0f} mm instead of {grows.fixed_mm:.0f} mm"
+    return None
 
 
 def _grows(effect: Effect, model: Model) -> Effect:

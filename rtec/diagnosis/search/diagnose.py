@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.doubts.record import doubts, targets_apart
-from rtec.diagnosis.heat import dead_sensor, only_between_files, only_time, own_warm_up, unrecorded_heat, warm_up_curves
+from rtec.diagnosis.heat import (
+    dead_sensor,
+    more_than_any_material,
+    only_between_files,
+    only_time,
+    own_warm_up,
+    unrecorded_heat,
+    warm_up_curves,
+)
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import (
@@ -458,7 +466,13 @@ class Search:
             self._doubt_warm_up(best, fatal=True)
             return False
         effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
-        if sure and (found := dead_sensor(self.readings, effect, known) or self._between_files(best)) is not None:
+        width = self.prepared.base.shape[1]
+        k, error = float(best.fit.values[width]), math.sqrt(best.fit.covariance[width, width])
+        much = more_than_any_material(self.readings, effect, k, error)
+        if (
+            sure
+            and (found := much or dead_sensor(self.readings, effect, known) or self._between_files(best)) is not None
+        ):
             self.doubts = (*self.doubts, found)
             sure = not found.fatal
         return sure and not self.refits.jumps_again(best)
@@ -594,7 +608,7 @@ class Search:
     @property
     def _doubted(self) -> bool:
         """Whether the doubts about the record rule out any conclusion about the machine."""
-        return any(d.blames_no_effect for d in self.doubts)
+        return any(d.blames_no_effect or (d.fatal and d.kind == "no_temperature") for d in self.doubts)
 
     @cached_property
     def _projected(self) -> Projected:
