@@ -8,6 +8,7 @@ beside a scale that is far from it.
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from rtec.estimation.outliers import clean
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.model import Model
+from rtec.model import FittedEffect, Model
 from rtec.report.diagnosis import diagnosis_page
 from tests.support.diagnosis_examples import effects, laser, small_machine
 from tests.support.machines import axis
@@ -237,3 +238,25 @@ def test_what_was_known_does_not_make_an_addition_fit_worse_than_nothing(seed: i
     assert added.better
     assert added.after.inside < refit.after.inside
     assert added.after.held_out < added.before.held_out
+
+
+@pytest.mark.parametrize("rich_first", [False, True])
+def test_a_rival_with_more_numbers_decides_nothing(rich_first: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bend of two numbers beside which the known ones hold, and an expansion of one beside which they do not.
+
+    The bend takes up what makes them look out of date. Where it is what the diagnosis names, it may. Oracle: the rule.
+    """
+    m = day("today", 2, 23.0, 24.0, "T_bed")
+    growth = _Growth([m], clean([m], REFERENCE_DEGC), known(), (1, 0.05, 50), None, None)
+    found = replace(growth.diagnosed(known()), together=())
+    first = replace(found.findings[0], partner=None, confused_with=(), group=True)
+    bend = asked_effect("polynomial_position", "EXX", {"axis": "X", "degrees": [2, 3]}, known())
+    rich = replace(first, effect=bend.effect, theta={}, parameters={}, rank=2)
+    found = replace(found, findings=(rich, first) if rich_first else (first, rich))
+
+    def gaining(model: Model, new: list[FittedEffect]) -> SimpleNamespace | None:
+        del model
+        return SimpleNamespace(own_kept=1) if len(new[0].values) > 1 else None
+
+    monkeypatch.setattr(growth, "_gaining", gaining)
+    assert (growth.holding(known(), found) is not None) is rich_first
