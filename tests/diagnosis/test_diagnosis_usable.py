@@ -272,3 +272,14 @@ def test_an_unknown_zero_costs_the_model_before_as_much_as_the_model_after() -> 
     empty = Judgement(model, clean(measured, model.reference_degc))
     assert added.before.held_out == pytest.approx(empty.held_out, rel=1e-9)
     assert added.after.held_out < 0.9 * added.before.held_out
+
+
+def test_the_same_readings_under_another_name_are_no_second_measurement() -> None:
+    """Oracle: the copy; and another measurement at the same places and times, which is none."""
+    m = laser([SCALE], 1, cycles=1)
+    copy = dataclasses.replace(m, name="copy")
+    for command in (compare, diagnose, improve):
+        with pytest.raises(MeasurementError, match=r"copy: the same readings as .*; leave one out"):
+            command(model_of(SCALE), [m, copy])
+    other = {n: v + 0.01 for n, v in m.readings.items()}
+    assert compare(model_of(SCALE), [m, dataclasses.replace(copy, readings=other)]).judged is not None
