@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import ALONE, Doubt
 from rtec.effects import Effect
+from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
 from rtec.estimation.gls import Fit, without_runs
@@ -162,23 +163,25 @@ def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> 
     return None
 
 
-def more_than_any_material(readings: Readings, effect: Effect, k: float, error: float) -> Doubt | None:
+def more_than_any_material(readings: Readings, effect: Effect, fit: Fit, place: int) -> Doubt | None:
     """Doubt where a screw or scale would have to expand more than any material does; None where it would not.
 
     Args:
         readings: the readings.
         effect: the candidate for a name.
-        k: its first number.
-        error: its standard error.
+        fit: with it.
+        place: of its number in the fit.
     """
+    if not isinstance(effect, AxisExpansion):
+        return None
+    k, error = float(fit.values[place]), math.sqrt(fit.covariance[place, place])
     if not expands_much(effect, k, error):
         return None
-    sensor = getattr(effect, "sensor", "the sensor")
     message = (
         f"{effect.label} would need {significant(k)} µm/(m·K), and no material of a machine expands so much: the "
-        f"readings follow heat that {sensor} does not show."
+        f"readings follow heat that {effect.sensor} does not show."
     )
-    return Doubt("no_temperature", message, _to_record(readings, readings.series[0]), fatal=True)
+    return Doubt("beyond_materials", message, _to_record(readings, readings.series[0]), fatal=True)
 
 
 def own_warm_up(label: str) -> Doubt:

@@ -83,8 +83,8 @@ def further_temperatures(judged: Judgement) -> Iterator[FittedEffect]:
 
 
 def fixed_end(model: Model) -> str | None:
-    """Where the fixed end of an expansion is by its shift, one of which is the last effect, in words; None where the
-    last is another.
+    """Where a shift by the same temperature puts the fixed end of an expansion, in words; None unless the last effect
+    is one of these two.
     """
     for shift in (f for f in model.effects if isinstance(f.effect, MountExpansion)):
         grows = _grows(shift.effect, model)

@@ -465,17 +465,16 @@ class Search:
         if sure and self._warm_up(best) is not None:
             self._doubt_warm_up(best, fatal=True)
             return False
-        effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
-        width = self.prepared.base.shape[1]
-        k, error = float(best.fit.values[width]), math.sqrt(best.fit.covariance[width, width])
-        much = more_than_any_material(self.readings, effect, k, error)
-        if (
-            sure
-            and (found := much or dead_sensor(self.readings, effect, known) or self._between_files(best)) is not None
-        ):
+        if sure and (found := self._instead(best)) is not None:
             self.doubts = (*self.doubts, found)
             sure = not found.fatal
         return sure and not self.refits.jumps_again(best)
+
+    def _instead(self, best: Refitted) -> Doubt | None:
+        """Doubt that something else than an effect of the machine explains the readings; None for none."""
+        effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
+        much = more_than_any_material(self.readings, effect, best.fit, self.prepared.base.shape[1])
+        return much or dead_sensor(self.readings, effect, known) or self._between_files(best)
 
     def _between_files(self, best: Refitted) -> Doubt | None:
         """Doubt where an effect explains only differences between files: a change of the machine explains them too."""
@@ -608,7 +607,7 @@ class Search:
     @property
     def _doubted(self) -> bool:
         """Whether the doubts about the record rule out any conclusion about the machine."""
-        return any(d.blames_no_effect or (d.fatal and d.kind == "no_temperature") for d in self.doubts)
+        return any(d.blames_no_effect for d in self.doubts)
 
     @cached_property
     def _projected(self) -> Projected:
