@@ -134,3 +134,22 @@ def test_what_changed_is_refitted_where_the_runs_differ_too(
     assert "Next: rtec improve" in capsys.readouterr().out
     assert status(["improve", *words, "-o", str(tmp_path / "better.toml"), "--yes"]) == 0
     assert load_model(tmp_path / "better.toml", small_machine()).effects[1].values["B"] == pytest.approx(-3.0, abs=0.2)
+
+
+def test_an_instrument_that_warms_up_hides_no_reversal() -> None:
+    """A slow change moves the readings of both directions alike. Oracle: the reversal that was made."""
+    m = today(1, WORN)
+    t = m.time_s - m.time_s[0]
+    warming = 3.0 * (1.0 - np.exp(-t / (0.3 * t[-1])))
+    m = replace(m, readings={"reading_um": m.readings["reading_um"] + warming})
+    d = diagnose(known(), [m], draws=50, explain=True)
+    (doubt,) = [b for b in d.doubts if b.fatal]
+    assert doubt.changes_slowly
+    (one,) = d.changed
+    assert one.effect == "backlash(EXX, X)"
+    assert one.now == pytest.approx(6.0, abs=0.3)
+    done = improve(known(), [m], draws=50)
+    assert not done.steps
+    assert done.model.effects[1].values["B"] == pytest.approx(6.0, abs=0.3)
+    assert done.model.effects[0].values["k"] == pytest.approx(8.0, abs=1.0)
+    assert done.model.effects[2].values["k"] == pytest.approx(6.0, abs=1.0)

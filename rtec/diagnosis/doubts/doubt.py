@@ -47,6 +47,8 @@ DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {
     "scatter",
 }
 """Doubts beside which it is undetermined whether an effect is missing."""
+CHANGES_SLOWLY: frozenset[Kind] = frozenset({"instrument_warm_up", "no_temperature", "beyond_materials"})
+"""Doubts about a change over hours, which moves the readings of both directions alike."""
 
 ALONE = "If the machine changed between them, diagnose the newer file alone."
 
@@ -76,6 +78,11 @@ class Doubt:
     def blames_no_effect(self) -> bool:
         """Whether no effect of the machine is named beside it."""
         return self.fatal and self.kind in BLAMES_NO_EFFECT
+
+    @property
+    def changes_slowly(self) -> bool:
+        """Whether it is about a change over hours, which feigns no reversal."""
+        return self.kind in CHANGES_SLOWLY
 
     @property
     def decides_nothing(self) -> bool:

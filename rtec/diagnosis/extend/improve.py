@@ -246,8 +246,7 @@ def _improved(
         if refit is None:
             return growth.grown(model, ask, ask_made)
         found = growth.diagnosed(model)
-    changed = found.verdict == "undecided" and with_changes(found, model, growth.given).refits_changed
-    if found.verdict == "undecided" and not changed:  # refitted numbers would absorb an unknown cause
+    if found.verdict == "undecided" and not _only_changed(refit, with_changes(found, model, growth.given)):
         return Improved(model, (), (found,), "undecided")
     if found.verdict == "nothing_missing" and not found.refit_fits:  # nor are they refitted to a drift
         return Improved(model, (), (found,), "nothing_missing")
@@ -263,6 +262,11 @@ def _improved(
         step(refit)
     growth.own = 0
     return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
+
+
+def _only_changed(refit: Added, found: Diagnosis) -> bool:
+    """Whether a refit moves only numbers that a diagnosis says have changed; others would absorb an unknown cause."""
+    return found.refits_changed and {c.effect for c in refit.changed} <= {c.effect for c in found.changed}
 
 
 class _Growth:

@@ -166,12 +166,22 @@ def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
 
 
 def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
-    """The diagnosis, also with numbers of the model that have changed since the readings that it was fitted to."""
+    """The diagnosis, also with numbers of the model that have changed since the readings that it was fitted to.
+
+    Beside a doubt about a slow change these are numbers of reversals alone.
+    """
     again = any(m.fingerprint in model.measurements.values() for m in given.readings.measurements)
     known = any(f.errors for f in model.effects)
-    if again or not known or any(d.fatal for d in found.doubts) or found.rms_residual <= AT_NOISE * found.noise_floor:
+    doubted = [d for d in found.doubts if d.fatal]
+    certain = all(d.changes_slowly for d in doubted) and found.rms_residual > AT_NOISE * found.noise_floor
+    if again or not known or not certain:
         return found
     changed, effects = changed_numbers(model, given.readings)
+    if doubted:
+        turned = {f.label for f in model.effects if _of_reversal(f.effect, model.machine)}
+        changed = tuple(c for c in changed if c.effect in turned)
+        pairs = zip(model.effects, effects, strict=True)
+        effects = tuple(now if now.label in turned else was for was, now in pairs)
     if changed and found.group:
         # A number that holds beside what is named only made up for its absence.
         still = {(c.effect, c.name) for c in changed_numbers(model, given.readings, _named(found, model))[0]}
@@ -181,6 +191,12 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
         return found
     kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
     return words.with_changes(found, changed, left.residual, left.with_own(kept))
+
+
+def _of_reversal(effect: Effect, machine: Machine) -> bool:
+    """Whether an effect depends on a direction, and on nothing that changes over hours."""
+    read = set(effect.channels(machine))
+    return bool(read & {a.direction_channel for a in machine.axes}) and not read & {*machine.sensor_names, "time_s"}
 
 
 def _named(found: Diagnosis, model: Model) -> list[FittedEffect]:
