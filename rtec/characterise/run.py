@@ -228,8 +228,13 @@ class _Rules:
     places_only: bool = False
 
     def allow(self, one: TermCandidate) -> bool:
-        """Whether a choice may have a candidate."""
-        return drive(one.term.effect) not in self.barred and (not self.places_only or one.kind in PLACES)
+        """Whether a choice may have a candidate.
+
+        Behind a lever arm an angle reads as what is barred in the direction that the instrument reads.
+        """
+        component, *by = mine = drive(one.term.effect)
+        arm = not one.direct and any(of[2:] == component[2:] and [*rest] == by for of, *rest in self.barred)
+        return mine not in self.barred and not arm and (not self.places_only or one.kind in PLACES)
 
     def cancel(self, one: TermCandidate, other: TermCandidate) -> bool:
         """Whether a choice may have only one of the two."""

@@ -263,3 +263,26 @@ def test_a_bed_that_shows_a_twentieth_of_the_heat_expands_as_no_material_does(se
     )
     assert "the screw or scale of Z" in d.sentence
     assert improve(model, [warm], draws=50).model.hash == model.hash
+
+
+@pytest.mark.parametrize("seed", [42, 43, 44])
+def test_two_runs_cold_and_warm_are_too_few_to_say_that_nothing_is_missing(seed: int) -> None:
+    """The screw grew between them by more than ten times the noise; any drift joins two runs. Oracle: the growth."""
+    m = day(seed, {"mount": 0.0})
+    screw = [m.channels["T_screw"][m.run == r].mean() for r in range(1, RUNS + 1)]
+    kept = np.isin(m.run, [1 + int(np.argmin(screw)), 1 + int(np.argmax(screw))])
+    two = replace(
+        m,
+        run=np.unique(m.run[kept], return_inverse=True)[1] + 1,
+        time_s=m.time_s[kept],
+        channels={n: np.round(v[kept], 1) for n, v in m.channels.items()},
+        readings={n: v[kept] for n, v in m.readings.items()},
+    )
+    model = Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN[:2]), name="lathe")
+    d = diagnose(model, [two], draws=50)
+    if d.verdict == "ambiguous":  # by luck each run predicts the other by one of the temperatures
+        assert {f.effect.effect for f in d.group} == {"axis_expansion"}
+        assert d.findings[0].parameters["k"].value == pytest.approx(11.0, abs=1.0)
+    else:
+        assert d.verdict == "undecided"
+        assert "2 runs are too few to say what changed between them; axis_expansion of EZZ by a temp" in d.sentence

@@ -160,6 +160,34 @@ def unexplained(judged: Judgement) -> Doubt | None:
     return Doubt("unexplained", message, f"Diagnose each file alone. {step}" if several else step, fatal=True)
 
 
+def few_runs(readings: Readings) -> int:
+    """How many runs there are in all, where these are two or three; else zero."""
+    runs = sum(len(np.unique(m.run)) for m in readings.measurements)
+    return runs if 1 < runs < FEW_RUNS else 0
+
+
+def runs_too_few(judged: Judgement, likeliest: str) -> Doubt | None:
+    """Doubt that nothing is missing where two or three runs leave far more than noise: any drift joins so few.
+
+    Args:
+        judged: the model.
+        likeliest: effect that may explain the difference, in words; empty for none.
+    """
+    runs = few_runs(judged.readings)
+    fresh = math.isfinite(judged.refitted) and judged.refitted < judged.residual
+    left = judged.refitted if fresh else judged.residual
+    if not runs or left <= UNEXPLAINED * judged.noise_floor:
+        return None
+    residual, smallest = sizes(left, judged.noise_floor)
+    unit, also = ERROR_UNITS[judged.unit], "with refitted numbers " if fresh else ""
+    message = (
+        f"The residual {also}is {residual} {unit}, the noise floor {smallest} {unit}, and {runs} runs are too few to "
+        f"say what changed between them{f'; {likeliest} may explain it' if likeliest else ''}."
+    )
+    step = f"Measure there and back at least {FEW_RUNS} times, cold and warm, with the temperatures."
+    return Doubt("unexplained", message, step, fatal=True)
+
+
 def scatters(judged: Judgement) -> Doubt | None:
     """Doubt where neighbouring readings scatter far more than at the model's fit, and than the display's steps."""
     model, readings = judged.model, judged.readings

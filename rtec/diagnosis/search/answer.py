@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.doubts.record import scatters, swings, too_few, unexplained
+from rtec.diagnosis.doubts.record import runs_too_few, scatters, swings, too_few, unexplained
 from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
@@ -348,15 +348,26 @@ class _Answer:
         """Doubt where nothing is named, and a drift by many times the noise, or anything else, stays unexplained."""
         nothing = self.s.unknown is None and self.s.undecided is None and not any(d.fatal for d in self.s.doubts)
         judged = self.s.judged
-        if nothing and (noise := scatters(judged)) is not None:
-            return noise
-        if not nothing or judged.refitted < REFIT * judged.residual:
+        if not nothing:
             return None
+        if (noise := scatters(judged)) is not None:
+            return noise
+        if judged.refitted < REFIT * judged.residual:
+            return runs_too_few(judged, self._likeliest(findings))
         slow = swings(judged) or drift_by_far(judged, self.s.refits.current)
         rest = unexplained(judged)
         if slow is None and rest is not None and findings and findings[0].heldout_drop > MOSTLY_NAMED:
             return too_few(judged, findings[0].label, findings[0].size_um, findings[0].heldout_drop)
-        return slow or rest
+        return slow or rest or runs_too_few(judged, self._likeliest(findings))
+
+    def _likeliest(self, findings: Sequence[Finding]) -> str:
+        """The effect of the most evidence, where that is beyond doubt, in words; two runs choose no sensor."""
+        first = max(findings, key=lambda f: f.log_evidence, default=None)
+        if first is None or first.log_evidence < self.s.prior_odds + SURE:
+            return ""
+        heat = set(self.s.model.machine.sensor_names) & set(first.effect.channels(self.s.model.machine))
+        kind = f"{first.effect.effect} of {first.effect.component}"
+        return f"{kind} by a temperature" if heat else kind
 
     def _heat_by_time(self) -> Doubt | None:
         """Doubt that what has no name is heat: it depends on time, and no temperature changed."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.doubts.record import doubts, targets_apart
+from rtec.diagnosis.doubts.record import doubts, few_runs, targets_apart
 from rtec.diagnosis.heat import (
     dead_sensor,
     more_than_any_material,
@@ -372,7 +372,7 @@ class Search:
         """Refitted candidates, the one to be named first; and whether noise alone is an unlikely cause of it."""
         again = self.refits.refitted(found, self.refits.weigh_without_drift())
         ordered = led(again, self._prior_odds + SURE, self.prepared.base, self.readings)
-        refitted = self._place_first(self._apart_from_warm_up(self._direct_first(ordered)))
+        refitted = self._place_first(self._apart_from_warm_up(self._possible_first(self._direct_first(ordered))))
         accepted = bool(refitted) and self._accepts(refitted[0], p)
         return self._leaner_first(refitted) if accepted else refitted, accepted
 
@@ -428,6 +428,22 @@ class Search:
 
         first = next((t for t in refitted[1:] if stands_for_it(t)), lead)
         return [first, *(t for t in refitted if t is not first)]
+
+    def _possible_first(self, refitted: list[Refitted]) -> list[Refitted]:
+        """The same; first an effect as likely as one that no material allows, by another sensor.
+
+        Of two or three runs each alone predicts the others badly: there held-out runs decide nothing.
+        """
+        if not refitted or not self._beyond_materials(refitted[0]):
+            return refitted
+        few = bool(few_runs(self.readings))
+        near = (t for t in refitted if (few or t.holds) and refitted[0].log_evidence - t.log_evidence < WITHIN)
+        first = next((t for t in near if not self._beyond_materials(t)), refitted[0])
+        return [first, *(t for t in refitted if t is not first)]
+
+    def _beyond_materials(self, t: Refitted) -> Doubt | None:
+        effect, width = self.candidates[t.number].effect, self.prepared.base.shape[1]
+        return more_than_any_material(self.readings, effect, t.fit, width)
 
     def _component(self, t: Refitted) -> str:
         return self.candidates[t.number].effect.component
@@ -489,8 +505,7 @@ class Search:
     def _instead(self, best: Refitted) -> Doubt | None:
         """Doubt that something else than an effect of the machine explains the readings; None for none."""
         effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
-        much = more_than_any_material(self.readings, effect, best.fit, self.prepared.base.shape[1])
-        return much or dead_sensor(self.readings, effect, known) or self._between_files(best)
+        return self._beyond_materials(best) or dead_sensor(self.readings, effect, known) or self._between_files(best)
 
     def _between_files(self, best: Refitted) -> Doubt | None:
         """Doubt where an effect explains only differences between files: a change of the machine explains them too."""
@@ -568,8 +583,12 @@ class Search:
         return self.candidates[t.number].effect.channels(self.model.machine)
 
     def _of_no_machine(self, unknown: Unknown, best: Refitted | None) -> bool:
-        """Whether the instrument, a change between files, or where no effect is accepted slow drift, makes a shape."""
-        if self._of_instrument(unknown) or self._of_files(unknown):
+        """Whether the instrument, a change between files, or where no effect is accepted slow drift, makes a shape.
+
+        Nor do two or three runs decide which temperature it follows.
+        """
+        by_heat = bool(set(unknown.channels) & {*self.model.machine.sensor_names, "time_s"})
+        if self._of_instrument(unknown) or self._of_files(unknown) or (by_heat and few_runs(self.readings)):
             return True
         return best is None and self._top_shape is not None and drift_makes(self._top_shape, self.refits, self.rng)
 
