@@ -13,6 +13,7 @@ from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member
 from rtec.effects.time_data import MissedCounts
 from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import minutes
+from rtec.estimation.warmth import Warmer
 from rtec.model import FittedEffect
 from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, two_numbers, with_error
 
@@ -127,14 +128,21 @@ def _moved(c: ChangedNumber) -> str:
 
 def of_warmth(changed: Sequence[ChangedNumber]) -> str:
     """That parts are warmer than in the fit, so that numbers only look changed; empty where none are."""
-    parts = [
-        f"{c.warmer.sensor} is {significant(abs(c.warmer.by_k), 2)} K {'warmer' if c.warmer.by_k > 0.0 else 'colder'} "
-        f"than in the fit: an expansion of {significant(c.warmer.growth, 2)} µm/(m·K) would look like the change of "
-        f"{c.effect}"
-        for c in changed
-        if c.warmer is not None
-    ]
-    return f" {'; '.join(parts)}. A measurement at one more temperature decides." if parts else ""
+    found = [(c.effect, c.warmer) for c in changed if c.warmer is not None]
+    alike, decided = ([_warmer(e, w) for e, w in found if bool(w.effect) == sure] for sure in (False, True))
+    open_ = [f"{'; '.join(alike)}. A measurement at one more temperature decides."] if alike else []
+    return "".join(f" {text}" for text in (*(f"{t}." for t in decided), *open_))
+
+
+def _warmer(scale: str, w: Warmer) -> str:
+    is_so = f"{w.sensor} is {significant(abs(w.by_k), 2)} K {'warmer' if w.by_k > 0.0 else 'colder'} than in the fit"
+    growth = f"{significant(w.growth, 2)} µm/(m·K)"
+    if not w.effect:
+        return f"{is_so}: an expansion of {growth} would look like the change of {scale}"
+    return (
+        f"{is_so}: {w.effect} of {growth} in place of the change of {scale} leaves only "
+        f"{number(w.leaves)}; `rtec improve` adds it"
+    )
 
 
 def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, held_out: float) -> Diagnosis:
@@ -152,12 +160,14 @@ def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, hel
     text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {unit}."
     text += of_warmth(changed)
     d = replace(d, changed=tuple(changed), changed_rms=rms, changed_held_out=held_out)
+    asked = of_files([b.message for b in d.doubts if b.kind == "other_machine"])
+    if d.verdict == "nothing_missing" and any(c.warmer is not None and c.warmer.effect for c in changed):
+        return replace(d, verdict="undecided", sentence=" ".join([text, *asked]))
     if d.verdict == "nothing_missing" and d.out_of_date and REFIT * rms < d.refit:
         answer = (
             f"No effect is missing; the noise floor is {number(d.noise_floor)} {ERROR_UNITS[d.unit]}{drifts(d)} "
             "(`rtec improve` refits the numbers that are out of date)."
         )
-        asked = of_files([b.message for b in d.doubts if b.kind == "other_machine"])
         return replace(d, sentence=" ".join([text, answer, *asked]))
     order = (text, sentence(d.sentence)) if d.mostly_changed else (sentence(d.sentence), text)
     return replace(d, sentence=" ".join(order))

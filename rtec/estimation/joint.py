@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter
+from rtec.effects.geometry import Scale
+from rtec.effects.reversal import Backlash, BacklashTemperature
+from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.columns import slope
 from rtec.estimation.determined import undetermined
@@ -22,7 +25,7 @@ from rtec.estimation.noise import Whitener, find_noise, refine
 from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, telling, weights, widening
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
-from rtec.estimation.warmth import Warmer, warmer
+from rtec.estimation.warmth import Warmer, of_the_fit, warmer
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import SearchScale
 from rtec.model.model import ErrorCorrelation, names_of, number_name
@@ -40,7 +43,9 @@ CHANGED, FAR = 6.0, 3.5
 """The numbers of an effect have changed where twice the logarithm of the evidence rises by the first, which are odds of
 20 to 1, and one of them moves by the second in standard errors, under noise that may drift; by more where few runs
 determine it, as of Student's distribution."""
-ONE_TEMPERATURE_K = 1.0
+ONE_TEMPERATURE_K, NARROW_K = 1.0, 3.0
+AT_ONE_TEMPERATURE: Mapping[type[Effect], type[Effect]] = {AxisExpansion: Scale, BacklashTemperature: Backlash}
+"""What an effect of a temperature is while that is one and the same, within the second range."""
 NEW = 1e6
 """Standard deviation of the prior of a number without an earlier fit, over its usual size."""
 HELD = 1e-6
@@ -139,6 +144,24 @@ class _Work:
             if i is not None:
                 pairs += list(zip(_places(self, [i]), _places(self, [j]), strict=True))
         return pairs
+
+    @cached_property
+    def parts(self) -> list[tuple[int, int, float]]:
+        """Places of each known number, of a new one that was a part of it, and how much of it.
+
+        Where a machine was 0.4 K above its reference while it was measured, its scale error contains 0.4 K of an
+        expansion that nobody knew then.
+        """
+        out = [(i, j, 1.0) for i, j in self.followed]
+        then = of_the_fit(self.earlier) if self.earlier is not None else {}
+        for j, new in enumerate(self.effects[len(self.known) :], len(self.known)):
+            degc, still = then.get(getattr(new, "sensor", "")), AT_ONE_TEMPERATURE.get(type(new))
+            known = (k for k, f in enumerate(self.known) if f.errors and still and _along(f.effect, still, new))
+            i = next(known, None)
+            if i is not None and degc is not None and self.earlier is not None and degc[1] - degc[0] < NARROW_K:
+                rise = sum(degc) / 2.0 - self.earlier.reference_degc
+                out += [(*p, rise) for p in zip(_places(self, [i]), _places(self, [j]), strict=True)]
+        return out
 
     def columns(self, thetas: Sequence[Mapping[str, float]]) -> Floats:
         parts = [np.zeros((len(self.readings), 0))]
@@ -333,8 +356,7 @@ class _Prior:
         centre, spread: mean and standard deviation, set-up terms last, (p,) each.
         held: numbers that an earlier fit left out, (p,).
         alike: correlation of their errors, (p, p).
-        sums: ones; and where a new effect follows the same sensor as a known one of its kind, of which only the sum was
-            known, (p, p).
+        sums: ones; and how much of a new number was a part of a known one, of which only the sum was known, (p, p).
         honest: variance that these readings alone leave of a number which has not changed, under noise that may drift,
             (p,); infinite for all others.
     """
@@ -394,8 +416,8 @@ def _prior(work: _Work, looseness: Sequence[float]) -> _Prior:
         found = work.earlier.correlation.matrix(names)
         alike[: len(names), : len(names)] = (1.0 - APART_BY) * found + APART_BY * np.eye(len(names))
     sums = np.eye(len(whole))
-    for i, j in work.followed:
-        sums[i, j] = 1.0
+    for i, j, much in work.parts:
+        sums[i, j] = much
     return _Prior(linear, whole, left_out, alike, sums, np.full(len(whole), np.inf))
 
 
@@ -514,6 +536,15 @@ def _follows(one: Effect, other: Effect) -> bool:
     """Whether an effect is another one but for its delay or its fixed end."""
     same = (one.effect, one.component, getattr(one, "sensor", None))
     return same == (other.effect, other.component, getattr(other, "sensor", None)) and same[2] is not None
+
+
+def _along(one: Effect, kind: type[Effect], other: Effect) -> bool:
+    """Whether an effect is of a kind, and of the same component and axis as another."""
+    return (
+        type(one) is kind
+        and one.component == other.component
+        and getattr(one, "axis", "") == getattr(other, "axis", "")
+    )
 
 
 def _at_one_temperature(readings: Readings, effect: Effect) -> bool:

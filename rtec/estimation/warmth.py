@@ -3,6 +3,7 @@
 Of a cold day and a warm one, a scale error that changed and a part that expands look the same.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -42,11 +43,15 @@ class Warmer:
         sensor: its name.
         by_k: by how many kelvin, on average.
         growth: expansion that would look like the change of the scale error, µm/(m·K).
+        effect: label of the expansion that explains the readings better than that change; empty where none does.
+        leaves: residual with that effect, in the unit of the diagnosis; nan without one.
     """
 
     sensor: str
     by_k: float
     growth: float
+    effect: str = ""
+    leaves: float = math.nan
 
 
 def recorded_degc(measurements: Iterable[Measurement]) -> dict[str, dict[str, list[float]]]:
@@ -76,6 +81,25 @@ def of_the_fit(model: Model) -> Mapping[str, tuple[float, float]]:
     return out
 
 
+def off_the_fit(model: Model, readings: Readings, axis: str) -> dict[str, float]:
+    """By how many kelvin, on average, sensors are above or below all that they were in the fit of a model.
+
+    Args:
+        model: of an earlier day.
+        readings: of today.
+        axis: sensors that are named after another axis are left out, and those by which this one expands in the model.
+    """
+    there = {f.effect.sensor for f in model.effects if isinstance(f.effect, AxisExpansion) and f.effect.axis == axis}
+    now, out = _recorded(readings.measurements), {}
+    for name, (low, high) in of_the_fit(model).items():
+        if name not in now or name in there or readings.machine.of_another_axis(name, axis):
+            continue
+        least, most = now[name]
+        if least - high > WARMER_K or low - most > WARMER_K:
+            out[name] = (least + most - low - high) / 2.0
+    return out
+
+
 def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> Warmer | None:
     """The sensor whose expansion would look like a change of a scale error; None where there is none.
 
@@ -85,16 +109,11 @@ def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> W
         effect: of the model.
         change: of its number, µm/m.
     """
-    known = any(f.effect.effect == "axis_expansion" and f.effect.component == effect.component for f in model.effects)
-    if not isinstance(effect, Scale) or not _of_a_length(effect) or known:
+    if not isinstance(effect, Scale) or not _of_a_length(effect):
         return None
-    now, found = _recorded(readings.measurements), []
-    for name, (low, high) in of_the_fit(model).items():
-        if name not in now or readings.machine.of_another_axis(name, effect.axis):
-            continue
-        least, most = now[name]
-        by_k = (least + most - low - high) / 2.0
-        if (least - high > WARMER_K or low - most > WARMER_K) and 0.0 < change / by_k <= EXPANDS:
+    found = []
+    for name, by_k in off_the_fit(model, readings, effect.axis).items():
+        if 0.0 < change / by_k <= EXPANDS:
             own = any(readings.machine.of_another_axis(name, a.name) for a in readings.machine.axes)
             found.append((own, abs(by_k), Warmer(name, by_k, change / by_k)))
     return max(found, key=lambda f: f[:2])[2] if found else None

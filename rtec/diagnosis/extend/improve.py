@@ -27,8 +27,9 @@ from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, 
 from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose, with_changes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
+from rtec.diagnosis.search.warm_day import expansion_instead
 from rtec.diagnosis.usable import check_enough
-from rtec.diagnosis.words import named
+from rtec.diagnosis.words import named, of_warmth
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.estimation.judge import Judgement
@@ -253,6 +254,9 @@ def _improved(
     holding = growth.holding(model, found)
     if holding is not None:
         return growth.grown(model, ask, ask_made, holding)
+    warm = growth.expansion_instead(model, refit)
+    if warm is not None:
+        return growth.grown(model, ask, ask_made, first=warm)
     if ask_made is None and found.changes_slowly:
         return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
     if ask_made is not None and not ask_made(refit):
@@ -367,6 +371,7 @@ class _Growth:
         ask: Callable[[ProposedStep], Finding | None] | None,
         ask_made: Callable[[Added], bool] | None,
         known: Diagnosis | None = None,
+        first: Added | None = None,
     ) -> Improved:
         """Diagnose and add in turn.
 
@@ -374,13 +379,16 @@ class _Growth:
             model: the model.
             ask, ask_made: as of `improve`.
             known: the diagnosis of the model, where it is known.
+            first: what is added first, as a further temperature is.
         """
         steps: list[Added] = []
         diagnoses: list[Diagnosis] = []
         declined = False
         self._size_of(model)
         while len(steps) < MOST:
-            further, known = self._further_first(model, steps, bool(ask), known) if not declined else (None, known)
+            further, first = first, None
+            if further is None and not declined:
+                further, known = self._further_first(model, steps, bool(ask), known)
             if further is not None and ask_made is not None:
                 declined = not ask_made(further)
             if further is not None and not declined:
@@ -489,6 +497,14 @@ class _Growth:
             return None
         ordered = [replace(lead, accepted=found.findings[0].accepted), *(f for f in found.findings if f is not lead)]
         return replace(found, findings=tuple(replace(f, rank=i) for i, f in enumerate(ordered, 1)))
+
+    def expansion_instead(self, model: Model, refit: Added) -> Added | None:
+        """The model with an expansion in place of a scale error that a refit changes; None where none is better."""
+        found = expansion_instead(model, self.given, refit.changed, Judgement(refit.model, self.given).residual)
+        added = self._gaining(model, [found[0]]) if found is not None else None
+        if found is None or added is None or added.after.held_out >= refit.after.held_out:
+            return None
+        return replace(added, notes=(of_warmth([found[1]]).strip().rstrip("."), *added.notes))
 
     def _unasked(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
         """The model with the shape of what has no name, or with effects that are named together; else as it is."""

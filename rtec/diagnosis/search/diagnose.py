@@ -66,6 +66,7 @@ from rtec.diagnosis.search.unnamed import (
     few_targets,
     without_idle,
 )
+from rtec.diagnosis.search.warm_day import expansion_instead
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
@@ -189,6 +190,9 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
     if not changed:
         return found
+    instead = expansion_instead(model, given, changed, left.residual)
+    if instead is not None:
+        changed = tuple(instead[1] if c.effect == instead[1].effect else c for c in changed)
     kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
     return words.with_changes(found, changed, left.residual, left.with_own(kept))
 

@@ -1,0 +1,106 @@
+"""A body grows between the day of the fit and today, and hardly today: no scale error has changed.
+
+Oracle: the laws by which the days were made, and a third day at other temperatures.
+"""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from rtec.diagnosis.extend.add import add
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import clean
+from rtec.machine import machine_from
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from rtec.sim.campaign.truth import effect_from_text
+from tests.support.machines import axis
+
+MACHINE = machine_from(
+    {
+        "machine": {"name": "mill", "tool_chain": ["X", "tool"], "work_chain": ["table"]},
+        "axis": {"X": axis("X", travel_mm=[0.0, 600.0], pitch_mm=10.0)},
+        "link": {"tool": {}, "table": {}},
+        "temperature": {"T_x_nut": {}, "T_air": {}},
+    },
+    "mill",
+)
+KNOWN = (
+    "scale,component=EXX,axis=X,k=5", "backlash,component=EXX,axis=X,B=2",
+    "axis_expansion,component=EXX,axis=X,sensor=T_x_nut,k=8",
+)  # fmt: skip
+SCALE, PLAY, SCREW, GLASS, NOISE_UM = 5.0, 2.0, 8.0, 9.0, 0.3
+
+
+def day(seed: int, air_degc: float, glass: float = 0.0, scale: float = SCALE) -> Measurement:
+    """Eight runs there and back in six hours; the air swings by half a kelvin, the nut warms by three.
+
+    Args:
+        seed: random numbers.
+        air_degc: mean temperature of the air, to which the nut cools.
+        glass: expansion of the scale by the air, µm/(m·K), from 20 °C on.
+        scale: scale error at 20 °C, µm/m.
+    """
+    rng = np.random.default_rng(seed)
+    places = np.linspace(10.0, 590.0, 15)
+    x = np.tile(np.concatenate([places, places[::-1]]), 8)
+    way = np.tile(np.repeat([1.0, -1.0], len(places)), 8)
+    run = np.repeat(np.arange(1, 9), 2 * len(places))
+    time_s = 2700.0 * (run - 1) + 8.0 * np.tile(np.arange(2 * len(places)), 8)
+    air = air_degc + 0.4 * np.sin(2.0 * np.pi * (time_s / 15000.0 + rng.uniform()))
+    nut = air + 3.0 * rng.uniform(0.2, 1.0, 8)[run - 1]
+    error = 1e-3 * x * (scale + SCREW * (nut - 20.0) + glass * (air - 20.0)) + 0.5 * PLAY * way
+    degc = {n: np.round(v + 0.03 * rng.normal(size=len(x)), 2) for n, v in (("T_x_nut", nut), ("T_air", air))}
+    return Measurement(
+        name=f"laser-{seed}", machine=MACHINE,
+        instrument=make_instrument("laser_linear", {}, "X", "EXX", MACHINE, "laser"),
+        run=run, time_s=time_s, channels={"x": x, "d_x": way, **degc},
+        readings={"reading_um": error + NOISE_UM * rng.normal(size=len(x))},
+    )  # fmt: skip
+
+
+@cache
+def fitted(air_degc: float) -> Model:
+    """The model of a machine whose scale expands by the air, which nobody knows."""
+    start = Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN), name="mill")
+    return add(start, [], [day(1, air_degc, GLASS)]).model
+
+
+def error_um(model: Model, m: Measurement) -> float:
+    return Judgement(model, clean([m], 20.0)).residual
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("fit_degc", [20.3, 23.0])
+def test_the_air_is_four_kelvin_colder_than_at_the_fit(fit_degc: float, seed: int) -> None:
+    today, warm = day(seed, fit_degc - 4.0, GLASS), day(9, fit_degc + 2.5, GLASS)
+    d = diagnose(fitted(fit_degc), [today], draws=50, explain=True)
+    assert "T_air is 4.0 K colder than in the fit" in d.sentence or d.findings[0].label.endswith("T_air)")
+    assert "o effect is missing" not in d.sentence
+    done = improve(fitted(fit_degc), [today], draws=50)
+    assert [s.labels for s in done.steps][:1] == [("axis_expansion(EXX, X, T_air)",)]
+    assert done.model.effects[-1].values["k"] == pytest.approx(GLASS, abs=1.0)
+    assert error_um(done.model, warm) < 0.5 * error_um(fitted(fit_degc), warm)
+    assert error_um(done.model, warm) < 3.0 * NOISE_UM
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_scale_that_was_replaced_has_changed(seed: int) -> None:
+    """The same air as at the fit."""
+    done = improve(fitted(20.3), [day(seed, 20.3, GLASS, scale=30.0)], draws=50)
+    assert not done.steps
+    assert done.refit is not None
+    assert done.model.effects[0].values["k"] == pytest.approx(30.0 + 0.3 * GLASS, abs=2.0)
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_a_scale_that_was_replaced_on_a_colder_day_is_no_expansion(seed: int) -> None:
+    """No glass that expands: the readings do not follow the air within the day."""
+    plain = add(Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN)), [], [day(1, 20.3)]).model
+    done = improve(plain, [day(seed, 16.0, scale=-45.0)], draws=50)
+    assert done.model.effects[0].values["k"] == pytest.approx(-45.0, abs=3.0)
+    assert not done.steps
