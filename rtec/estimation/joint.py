@@ -122,12 +122,14 @@ class _Work:
         readings: of the fit.
         start: the effects with their current numbers.
         earlier: the model as earlier readings determined it: the first of the effects; None for none.
+        since: whether what is new began after these, so that no known number contains a part of it.
     """
 
     effects: Sequence[Effect]
     readings: Readings
     start: Sequence[FittedEffect]
     earlier: Model | None
+    since: bool = False
     still: dict[int, Floats] = field(default_factory=dict)
 
     @property
@@ -153,7 +155,7 @@ class _Work:
         expansion that nobody knew then.
         """
         out = [(i, j, 1.0) for i, j in self.followed]
-        then = of_the_fit(self.earlier) if self.earlier is not None else {}
+        then = of_the_fit(self.earlier) if self.earlier is not None and not self.since else {}
         for j, new in enumerate(self.effects[len(self.known) :], len(self.known)):
             degc, still = then.get(getattr(new, "sensor", "")), AT_ONE_TEMPERATURE.get(type(new))
             known = (k for k, f in enumerate(self.known) if f.errors and still and _along(f.effect, still, new))
@@ -245,6 +247,16 @@ def joint_fit(
     """
     work = _Work([f.effect for f in effects], readings, effects, earlier)
     free = _free(effects, readings) if search else []
+    made = _both(work, free, least)
+    if len(work.parts) == len(work.followed):
+        return made
+    # The readings decide whether the machine had what is new at the earlier fit.
+    other = _both(_Work(work.effects, readings, effects, earlier, since=True), free, least)
+    return other if np.linalg.norm(other.left) < np.linalg.norm(made.left) else made
+
+
+def _both(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[float, ...]) -> Joint:
+    """The weighted or the ordinary fit, whichever predicts held-out runs as well or better."""
     weighed = _weighed(work, free, least)
     plain = _ordinary(work, weighed)
     judged = [held_out(f.weights, f.columns) for f in (weighed, plain)]

@@ -27,7 +27,7 @@ from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, 
 from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose, with_changes
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.warm_day import expansion_instead
+from rtec.diagnosis.search.warm_day import expansions_instead
 from rtec.diagnosis.usable import check_enough
 from rtec.diagnosis.words import named, of_warmth
 from rtec.effects.expression import expression_from_text
@@ -500,11 +500,13 @@ class _Growth:
 
     def expansion_instead(self, model: Model, refit: Added) -> Added | None:
         """The model with an expansion in place of a scale error that a refit changes; None where none is better."""
-        found = expansion_instead(model, self.given, refit.changed, Judgement(refit.model, self.given).residual)
-        added = self._gaining(model, [found[0]]) if found is not None else None
-        if found is None or added is None or added.after.held_out >= refit.after.held_out:
-            return None
-        return replace(added, notes=(of_warmth([found[1]]).strip().rstrip("."), *added.notes))
+        for new, number in expansions_instead(
+            model, self.given, refit.changed, Judgement(refit.model, self.given).residual
+        ):
+            added = self._gaining(model, [new])
+            if added is not None and added.after.held_out < refit.after.held_out:
+                return replace(added, notes=(of_warmth([number]).strip().rstrip("."), *added.notes))
+        return None
 
     def _unasked(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:
         """The model with the shape of what has no name, or with effects that are named together; else as it is."""

@@ -66,7 +66,7 @@ from rtec.diagnosis.search.unnamed import (
     few_targets,
     without_idle,
 )
-from rtec.diagnosis.search.warm_day import expansion_instead
+from rtec.diagnosis.search.warm_day import expansions_instead
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
@@ -108,6 +108,8 @@ HALF = 0.5
 """From this share on it may be so even where a drift is likelier."""
 MOSTLY = 0.5
 """Two effects that help only together must remove at least this share of the held-out mean square."""
+SAME_ARM = 1e-6
+"""Lever arms within this relative difference are one."""
 DRAWS = 400
 
 
@@ -190,9 +192,8 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
     if not changed:
         return found
-    instead = expansion_instead(model, given, changed, left.residual)
-    if instead is not None:
-        changed = tuple(instead[1] if c.effect == instead[1].effect else c for c in changed)
+    for _, number in expansions_instead(model, given, changed, left.residual)[:1]:
+        changed = tuple(number if c.effect == number.effect else c for c in changed)
     kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
     return words.with_changes(found, changed, left.residual, left.with_own(kept))
 
@@ -413,7 +414,7 @@ class Search:
         With one arm alone nothing separates an angle from a shift. Elsewhere on the machine the angle moves the tool as
         well, in two directions that nobody measured.
         """
-        shown = read_directly(self.readings.measurements)
+        shown = self._shown
         turns = bool(refitted) and component_unit(self._component(refitted[0])) == "urad"
         if not turns or self._component(refitted[0]) in shown:
             return refitted
@@ -765,8 +766,21 @@ class Search:
         return (both, second), []
 
     def _separate(self, effect: Effect) -> bool:
-        """Whether the readings may separate an effect from one of the place."""
-        return not_separated(effect, self.readings) is None
+        """Whether the readings may separate an effect from one of the place, and from one that they read directly."""
+        return not_separated(effect, self.readings) is None and not self._behind_arm(effect)
+
+    def _behind_arm(self, effect: Effect) -> bool:
+        """Whether an effect is an angle that is read only at one lever arm, as a shift along the same axis."""
+        component, shown = effect.component, self._shown
+        if component in shown or not any(c[2:] == component[2:] for c in shown):
+            return False
+        arms = self.readings.arms(component)
+        at = arms[arms != 0.0]
+        return component_unit(component) == "urad" and bool(at.size) and float(np.ptp(at)) < SAME_ARM * abs(at[0])
+
+    @cached_property
+    def _shown(self) -> Collection[str]:
+        return read_directly(self.readings.measurements)
 
     def _of_time(self, effect: Effect) -> bool:
         return "time_s" in effect.channels(self.model.machine)
@@ -792,7 +806,8 @@ class Search:
             read = set(effect.channels(machine))
             places = {a.channel for a in machine.axes} & read
             few = len(places) <= 1 and len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
-            return few and not read & followed  # a straight line through a curve over a temperature is no cause
+            # A straight line through a curve over a temperature is no cause.
+            return few and not read & followed and not self._behind_arm(effect)
 
         sure = [t for t in refitted if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.drop, default=None)
@@ -872,7 +887,8 @@ class Search:
         bar, machine = self._prior_odds + SURE, self.model.machine
 
         def linear(effect: Effect) -> bool:
-            return len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
+            few = len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
+            return few and not self._behind_arm(effect)
 
         sure = [t for t in refitted if t.log_evidence > bar and linear(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.log_evidence, default=None)

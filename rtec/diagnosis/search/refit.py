@@ -11,7 +11,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.confounded import ANOTHER, SAME, WITHIN, cosine, directness, diverse, period_mm, plausibility
+from rtec.diagnosis.search.confounded import (
+    ANOTHER,
+    FEIGNED,
+    SAME,
+    WITHIN,
+    cosine,
+    directness,
+    diverse,
+    elsewhere,
+    period_mm,
+    plausibility,
+)
 from rtec.diagnosis.search.polish import Theta, at_instant, live_columns, polished
 from rtec.diagnosis.search.prepared import Prepared
 from rtec.diagnosis.search.screen import Bank, Projected, Screen, orthonormal, screen, screen_all
@@ -511,7 +522,14 @@ class Refits:
             effect = self.candidates[t.number].effect
             return directness(effect, machine), len(effect.channels(machine)), -t.log_evidence
 
-        return min(near, key=plain)
+        first = min(near, key=plain)
+        if not elsewhere(self.candidates[first.number].effect, machine):
+            return first
+        # Two screws that warm alike: the sensor of another axis is as good on this day only.
+        mine = (t for t in tried if self._name(t.number) == self._name(first.number))
+        own = [t for t in mine if not elsewhere(self.candidates[t.number].effect, machine)]
+        near = [t for t in own if top - t.log_evidence < FEIGNED]
+        return max(near, key=lambda t: t.log_evidence, default=first)
 
     def in_order(self, members: Sequence[Refitted], bar: float = -math.inf) -> list[Refitted]:
         """Effects one after the other, the one first that lowers the error on held-out runs most beside those before.

@@ -21,10 +21,10 @@ VISIBLE = 0.35
 """The expansion leaves less than the refit by more than this multiple of the noise floor, in squares."""
 
 
-def expansion_instead(
+def expansions_instead(
     model: Model, given: Clean, changed: Sequence[ChangedNumber], refitted: float
-) -> tuple[FittedEffect, ChangedNumber] | None:
-    """The expansion that explains these readings better than a changed scale error, and that number; None for none.
+) -> list[tuple[FittedEffect, ChangedNumber]]:
+    """Expansions that explain these readings better than a changed scale error, the best first.
 
     Args:
         model: with its own numbers, of an earlier day.
@@ -33,11 +33,10 @@ def expansion_instead(
         refitted: residual with these refitted.
 
     Returns:
-        The effect, its coefficient zero; and the number with the sensor, by how much it is warmer, and what it leaves.
+        Each effect, its coefficient zero; and the number with the sensor, by how much it is warmer, and what it leaves.
     """
-    floor = Judgement(model, given).noise_floor
-    bar = refitted**2 - (VISIBLE * floor) ** 2
-    best: tuple[float, FittedEffect, ChangedNumber] | None = None
+    bar = refitted**2 - (VISIBLE * Judgement(model, given).noise_floor) ** 2
+    out: list[tuple[float, FittedEffect, ChangedNumber]] = []
     for c, new, by_k in _offered(model, given, changed):
         try:
             fit = joint_fit((*model.effects, new), given.readings, earlier=model)
@@ -45,10 +44,10 @@ def expansion_instead(
             continue
         k = fit.effects[-1].values["k"]
         size = Judgement(replace(model, effects=fit.effects), given).residual
-        if 0.0 < k <= EXPANDS and size**2 < (bar if best is None else min(bar, best[0] ** 2)):
+        if 0.0 < k <= EXPANDS and size**2 < bar:
             warm = Warmer(str(getattr(new.effect, "sensor", "")), by_k, k, new.label, size)
-            best = size, new, replace(c, warmer=warm)
-    return best[1:] if best is not None else None
+            out.append((size, new, replace(c, warmer=warm)))
+    return [(new, c) for _, new, c in sorted(out, key=lambda f: f[0])]
 
 
 def _offered(
