@@ -137,11 +137,12 @@ def of_warmth(changed: Sequence[ChangedNumber]) -> str:
 def _warmer(scale: str, w: Warmer) -> str:
     is_so = f"{w.sensor} is {significant(abs(w.by_k), 2)} K {'warmer' if w.by_k > 0.0 else 'colder'} than in the fit"
     growth = f"{significant(w.growth, 2)} µm/(m·K)"
-    if not w.effect:
+    if w.leaves is None:
         return f"{is_so}: an expansion of {growth} would look like the change of {scale}"
+    rivals = f" (or {' or '.join(w.rivals)})" if w.rivals else ""
     return (
-        f"{is_so}: {w.effect} of {growth} in place of the change of {scale} leaves only "
-        f"{number(w.leaves)}; `rtec improve` adds it"
+        f"{is_so}: {w.effect} of {growth}{rivals} in place of the change of {scale} leaves only {number(w.leaves)}; "
+        "`rtec improve` adds it if it predicts held-out runs better, too"
     )
 
 

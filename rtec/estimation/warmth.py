@@ -3,7 +3,6 @@
 Of a cold day and a warm one, a scale error that changed and a part that expands look the same.
 """
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -44,14 +43,16 @@ class Warmer:
         by_k: by how many kelvin, on average.
         growth: expansion that would look like the change of the scale error, µm/(m·K).
         effect: label of the expansion that explains the readings better than that change; empty where none does.
-        leaves: residual with that effect, in the unit of the diagnosis; nan without one.
+        leaves: residual with that effect, in the unit of the diagnosis; None without one.
+        rivals: labels of expansions by other sensors that explain them better than that change as well.
     """
 
     sensor: str
     by_k: float
     growth: float
     effect: str = ""
-    leaves: float = math.nan
+    leaves: float | None = None
+    rivals: tuple[str, ...] = ()
 
 
 def recorded_degc(measurements: Iterable[Measurement]) -> dict[str, dict[str, list[float]]]:

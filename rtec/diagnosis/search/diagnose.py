@@ -66,7 +66,7 @@ from rtec.diagnosis.search.unnamed import (
     few_targets,
     without_idle,
 )
-from rtec.diagnosis.search.warm_day import expansions_instead
+from rtec.diagnosis.search.warm_day import expansions_instead, with_expansions
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
@@ -192,8 +192,7 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
     if not changed:
         return found
-    for _, number in expansions_instead(model, given, changed, left.residual)[:1]:
-        changed = tuple(number if c.effect == number.effect else c for c in changed)
+    changed = with_expansions(changed, expansions_instead(model, given, changed, left.residual))
     kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
     return words.with_changes(found, changed, left.residual, left.with_own(kept))
 

@@ -19,6 +19,7 @@ from rtec.model import FittedEffect, Model
 
 VISIBLE = 0.35
 """The expansion leaves less than the refit by more than this multiple of the noise floor, in squares."""
+MOST_RIVALS = 2
 
 
 def expansions_instead(
@@ -48,6 +49,19 @@ def expansions_instead(
             warm = Warmer(str(getattr(new.effect, "sensor", "")), by_k, k, new.label, size)
             out.append((size, new, replace(c, warmer=warm)))
     return [(new, c) for _, new, c in sorted(out, key=lambda f: f[0])]
+
+
+def with_expansions(
+    changed: Sequence[ChangedNumber], found: Sequence[tuple[FittedEffect, ChangedNumber]]
+) -> tuple[ChangedNumber, ...]:
+    """Changed numbers, each with the best expansion in its place and the rivals of that, where there is one."""
+    out = []
+    for c in changed:
+        mine = [(new.label, n.warmer) for new, n in found if n.effect == c.effect]
+        best = mine[0][1] if mine else c.warmer
+        rivals = tuple(label for label, _ in mine[1 : 1 + MOST_RIVALS])
+        out.append(replace(c, warmer=replace(best, rivals=rivals) if best is not None else None))
+    return tuple(out)
 
 
 def _offered(
