@@ -431,7 +431,8 @@ def improve(
         measurements: one or several, of any instruments.
         ask: selects the candidate to add; None: stop. Without it the best one is added.
         ask_made: decides whether to keep an improvement without a cause: a refit of the model's own numbers (no
-            labels), or a further temperature of one of its effects; without it, it is kept.
+            labels), a further temperature of one of its effects, or an expansion in place of a changed scale error
+            (`Added.question`); without it, it is kept.
         step: called with the refit and each addition as soon as it is made and written.
         seed: seed of the random draws.
         machine: machine of the model; None: the machine file beside the model.

@@ -279,8 +279,7 @@ def _ask_made(made: "Added") -> bool:
     from rtec.report.history import added_page
 
     show_page(added_page(made, figures=False), full=False)
-    said = f"Add {', '.join(made.labels)}, a further temperature?" if made.labels else "Refit the model's own numbers?"
-    return typer.confirm(said, default=True)
+    return typer.confirm(made.question, default=True)
 
 
 def compare(

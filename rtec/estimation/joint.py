@@ -247,15 +247,15 @@ def joint_fit(
     """
     work = _Work([f.effect for f in effects], readings, effects, earlier)
     free = _free(effects, readings) if search else []
-    made = _both(work, free, least)
+    made = _refereed(work, free, least)
     if len(work.parts) == len(work.followed):
         return made
     # The readings decide whether the machine had what is new at the earlier fit.
-    other = _both(_Work(work.effects, readings, effects, earlier, since=True), free, least)
+    other = _refereed(_Work(work.effects, readings, effects, earlier, since=True), free, least)
     return other if np.linalg.norm(other.left) < np.linalg.norm(made.left) else made
 
 
-def _both(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[float, ...]) -> Joint:
+def _refereed(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[float, ...]) -> Joint:
     """The weighted or the ordinary fit, whichever predicts held-out runs as well or better."""
     weighed = _weighed(work, free, least)
     plain = _ordinary(work, weighed)

@@ -390,14 +390,16 @@ class StepDone:
 
 @dataclass(frozen=True)
 class RefitQuestion:
-    """Asked before the model's own numbers are refitted, or a further temperature is added.
+    """Asked before the model's own numbers are refitted, or what names no cause is added.
 
     Attributes:
-        what: the further temperature; empty for a refit.
+        question: in words.
+        adds: whether it adds an effect; else it refits.
         fell: how the residual on held-out runs fell, in words.
     """
 
-    what: str
+    question: str
+    adds: bool
     fell: str
 
 
@@ -425,9 +427,8 @@ def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, 
         return next((f for f in d.findings if f.rank == rank), None)
 
     def ask_made(made: "Added") -> bool:
-        return bool(
-            line.ask(RefitQuestion(", ".join(made.labels), fell(made.before, made.after, ERROR_UNITS[made.unit])))
-        )
+        went = fell(made.before, made.after, ERROR_UNITS[made.unit])
+        return bool(line.ask(RefitQuestion(made.question, bool(made.labels), went)))
 
     def keep(made: "Added") -> None:
         line.ask(StepDone(_view_of(line, made, files, named)))

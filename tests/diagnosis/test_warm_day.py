@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rtec.diagnosis.extend.add import add
+from rtec.diagnosis.extend.add import Added, add
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.judge import Judgement
@@ -86,6 +86,19 @@ def test_the_air_is_four_kelvin_colder_than_at_the_fit(fit_degc: float, seed: in
     assert done.model.effects[-1].values["k"] == pytest.approx(GLASS, abs=1.0)
     assert error_um(done.model, warm) < 0.5 * error_um(fitted(fit_degc), warm)
     assert error_um(done.model, warm) < 3.0 * NOISE_UM
+
+
+def test_who_declines_the_expansion_is_asked_about_the_refit() -> None:
+    asked: list[str] = []
+
+    def ask(made: Added) -> bool:
+        asked.append(made.question)
+        return len(asked) > 1
+
+    done = improve(fitted(23.0), [day(2, 19.0, GLASS)], ask=lambda _: None, ask_made=ask, draws=50)
+    assert asked[0] == "Add axis_expansion(EXX, X, T_air), in place of the change of scale(EXX, X)?"
+    assert asked[1] == "Refit the model's own numbers?"
+    assert done.refit is not None
 
 
 @pytest.mark.parametrize("seed", [4, 5])

@@ -8,7 +8,7 @@ Where the readings cannot separate the added effect from others, those rivals ar
 import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -161,6 +161,7 @@ class Added(Result):
         own_kept: number of effects of the model, from the first on, that have kept their numbers.
         changed: numbers of the model that have changed since the readings that it was fitted to.
         unmeasured: motions of the tool that the added effects bring along and that no reading shows.
+        in_place_of: label of the effect whose change it replaces; empty for none.
     """
 
     page_maker: ClassVar[str] = "rtec.report.history:added_page"
@@ -182,6 +183,15 @@ class Added(Result):
     own_kept: int = 0
     changed: tuple[ChangedNumber, ...] = ()
     unmeasured: tuple[UnmeasuredMotion, ...] = ()
+    in_place_of: str = ""
+
+    @property
+    def question(self) -> str:
+        """What a user is asked before it is kept."""
+        if not self.labels:
+            return "Refit the model's own numbers?"
+        how = f"in place of the change of {self.in_place_of}" if self.in_place_of else "a further temperature"
+        return f"Add {', '.join(self.labels)}, {how}?"
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The error before and after."""
@@ -201,7 +211,7 @@ class Added(Result):
             "held_out_with_smoothed_temperatures": self.smoothed,
             "passed_over": [r.facts() for r in self.passed_over],
             "undetermined": list(self.undetermined),
-            "changed": [vars(c) for c in self.changed],
+            "changed": [asdict(c) for c in self.changed],
             "unmeasured": [vars(u) for u in self.unmeasured],
             "doubts": list(self.doubts),
             "impossible": list(self.impossible),

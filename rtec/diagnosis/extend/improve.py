@@ -255,7 +255,7 @@ def _improved(
     if holding is not None:
         return growth.grown(model, ask, ask_made, holding)
     warm = growth.expansion_instead(model, refit)
-    if warm is not None:
+    if warm is not None and (ask_made is None or ask_made(warm)):
         return growth.grown(model, ask, ask_made, first=warm)
     if ask_made is None and found.changes_slowly:
         return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
@@ -379,16 +379,15 @@ class _Growth:
             model: the model.
             ask, ask_made: as of `improve`.
             known: the diagnosis of the model, where it is known.
-            first: what is added first, as a further temperature is.
+            first: what is added before anything is diagnosed.
         """
         steps: list[Added] = []
         diagnoses: list[Diagnosis] = []
         declined = False
         self._size_of(model)
+        model = self._taken(first, steps) if first is not None else model
         while len(steps) < MOST:
-            further, first = first, None
-            if further is None and not declined:
-                further, known = self._further_first(model, steps, bool(ask), known)
+            further, known = self._further_first(model, steps, bool(ask), known) if not declined else (None, known)
             if further is not None and ask_made is not None:
                 declined = not ask_made(further)
             if further is not None and not declined:
@@ -505,7 +504,8 @@ class _Growth:
         ):
             added = self._gaining(model, [new])
             if added is not None and added.after.held_out < refit.after.held_out:
-                return replace(added, notes=(of_warmth([number]).strip().rstrip("."), *added.notes))
+                note = of_warmth([number]).strip().rstrip(".")
+                return replace(added, notes=(note, *added.notes), in_place_of=number.effect)
         return None
 
     def _unasked(self, model: Model, found: Diagnosis, steps: list[Added]) -> Model:

@@ -110,14 +110,11 @@ async def _refit(session: TabSession) -> None:
 def _question(session: TabSession, question: Any) -> None:
     with ui.element("div").classes("card chosen").props('role="alertdialog" aria-label="Question"'):
         if isinstance(question, RefitQuestion):
-            Words(
-                "h2",
-                f"Add {question.what}, a further temperature?" if question.what else "Refit the model's own numbers?",
-            )
+            Words("h2", question.question)
             Words("p", f"The residual on held-out runs {question.fell}.")
             with ui.element("div").classes("row"):
-                button("Add" if question.what else "Refit", lambda: session.answer(True), main=True)
-                button("Leave it out" if question.what else "Keep the numbers", lambda: session.answer(False))
+                button("Add" if question.adds else "Refit", lambda: session.answer(True), main=True)
+                button("Leave it out" if question.adds else "Keep the numbers", lambda: session.answer(False))
         elif isinstance(question, StepQuestion):
             _ask_step(session, question)
 
