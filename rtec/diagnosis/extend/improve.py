@@ -25,9 +25,9 @@ from rtec.diagnosis.extend.add import (
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, hardly_varied
 from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding
-from rtec.diagnosis.search.diagnose import DRAWS, diagnose, with_changes
+from rtec.diagnosis.search.changes import expansions_instead, with_changes
+from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.warm_day import expansions_instead
 from rtec.diagnosis.usable import check_enough
 from rtec.diagnosis.words import named, of_warmth
 from rtec.effects.expression import expression_from_text

@@ -26,6 +26,7 @@ from rtec.diagnosis.heat import (
 )
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
+from rtec.diagnosis.search.changes import with_changes
 from rtec.diagnosis.search.confounded import (
     ALIASES,
     ANOTHER,
@@ -66,12 +67,10 @@ from rtec.diagnosis.search.unnamed import (
     few_targets,
     without_idle,
 )
-from rtec.diagnosis.search.warm_day import expansions_instead, with_expansions
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.gls import held_out_gain
-from rtec.estimation.joint import changed_numbers
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
@@ -79,7 +78,7 @@ from rtec.estimation.visible import read_directly
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
-from rtec.model import FittedEffect, Model
+from rtec.model import Model
 from rtec.parallel import each, one_blas_thread
 
 Floats = NDArray[np.float64]
@@ -166,54 +165,6 @@ def instead_of_files(search: "Search", found: Diagnosis) -> Diagnosis:
     again = search.without(read | sensors if read & sensors else read)
     other = again.diagnosis()
     return other if other.named_drop > max(d for d, _ in search.between) else found
-
-
-def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
-    """The diagnosis, also with numbers of the model that have changed since the readings that it was fitted to.
-
-    Beside a doubt about a slow change these are numbers of reversals alone.
-    """
-    again = any(m.fingerprint in model.measurements.values() for m in given.readings.measurements)
-    known = any(f.errors for f in model.effects)
-    doubted = [d for d in found.doubts if d.fatal]
-    certain = all(d.changes_slowly for d in doubted) and found.rms_residual > AT_NOISE * found.noise_floor
-    if again or not known or not certain:
-        return found
-    changed, effects = changed_numbers(model, given.readings)
-    if doubted:
-        turned = {f.label for f in model.effects if _of_reversal(f.effect, model.machine)}
-        changed = tuple(c for c in changed if c.effect in turned)
-        pairs = zip(model.effects, effects, strict=True)
-        effects = tuple(now if now.label in turned else was for was, now in pairs)
-    if changed and found.group:
-        # A number that holds beside what is named only made up for its absence.
-        still = {(c.effect, c.name) for c in changed_numbers(model, given.readings, _named(found, model))[0]}
-        changed = tuple(c for c in changed if (c.effect, c.name) in still)
-    left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
-    if not changed:
-        return found
-    changed = with_expansions(changed, expansions_instead(model, given, changed, left.residual))
-    kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
-    return words.with_changes(found, changed, left.residual, left.with_own(kept))
-
-
-def _of_reversal(effect: Effect, machine: Machine) -> bool:
-    """Whether an effect depends on a direction, and on nothing that changes over hours."""
-    read = set(effect.channels(machine))
-    return bool(read & {a.direction_channel for a in machine.axes}) and not read & {*machine.sensor_names, "time_s"}
-
-
-def _named(found: Diagnosis, model: Model) -> list[FittedEffect]:
-    """What a diagnosis names, with coefficients zero."""
-    first = found.findings[0]
-    there = [(f.effect, f.theta) for f in (first, first.partner) if f is not None]
-    there = [(m.fitted.effect, m.fitted.theta) for m in found.together] or there
-    zero = [dict.fromkeys([p.name for p in effect.coefficients(model.machine)], 0.0) for effect, _ in there]
-    return [FittedEffect(effect, values, dict(theta)) for (effect, theta), values in zip(there, zero, strict=True)]
-
-
-AT_NOISE = 1.1
-"""A residual within this factor of the noise floor says nothing about numbers that have changed."""
 
 
 def _beside(candidate: EffectCandidate, model: Model) -> EffectCandidate | None:
