@@ -82,23 +82,26 @@ def of_the_fit(model: Model) -> Mapping[str, tuple[float, float]]:
     return out
 
 
-def off_the_fit(model: Model, readings: Readings, axis: str) -> dict[str, float]:
+def off_the_fit(model: Model, readings: Readings) -> dict[str, float]:
     """By how many kelvin, on average, sensors are above or below all that they were in the fit of a model.
 
     Args:
         model: of an earlier day.
         readings: of today.
-        axis: sensors that are named after another axis are left out, and those by which this one expands in the model.
     """
-    there = {f.effect.sensor for f in model.effects if isinstance(f.effect, AxisExpansion) and f.effect.axis == axis}
     now, out = _recorded(readings.measurements), {}
     for name, (low, high) in of_the_fit(model).items():
-        if name not in now or name in there or readings.machine.of_another_axis(name, axis):
-            continue
-        least, most = now[name]
+        least, most = now.get(name, (low, high))
         if least - high > WARMER_K or low - most > WARMER_K:
             out[name] = (least + most - low - high) / 2.0
     return out
+
+
+def off_along(model: Model, readings: Readings, axis: str) -> dict[str, float]:
+    """The same, of sensors by which an axis may expand, and does not in the model yet."""
+    there = {f.effect.sensor for f in model.effects if isinstance(f.effect, AxisExpansion) and f.effect.axis == axis}
+    found, machine = off_the_fit(model, readings), readings.machine
+    return {n: k for n, k in found.items() if n not in there and not machine.of_another_axis(n, axis)}
 
 
 def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> Warmer | None:
@@ -113,7 +116,7 @@ def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> W
     if not isinstance(effect, Scale) or not _of_a_length(effect):
         return None
     found = []
-    for name, by_k in off_the_fit(model, readings, effect.axis).items():
+    for name, by_k in off_along(model, readings, effect.axis).items():
         if 0.0 < change / by_k <= EXPANDS:
             own = any(readings.machine.of_another_axis(name, a.name) for a in readings.machine.axes)
             found.append((own, abs(by_k), Warmer(name, by_k, change / by_k)))

@@ -27,7 +27,7 @@ from rtec.estimation.noise import Whitener, without_drift
 from rtec.estimation.plain import weights
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.visible import within_record
-from rtec.estimation.warmth import of_the_fit
+from rtec.estimation.warmth import off_the_fit
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
@@ -108,7 +108,7 @@ def _grows(effect: Effect, model: Model) -> Effect:
 def hardly_varied(model: Model, effect: Effect, readings: Readings) -> bool:
     """Whether an effect that the model has by other sensors follows one that varied by less than `VARIED_DEGC`.
 
-    The readings that the model was fitted to count, too.
+    One that is far from all that it was in the model's fit has varied since.
     """
     sensor = getattr(effect, "sensor", None)
     same = [f.effect for f in model.effects if f.effect.effect == effect.effect]
@@ -117,15 +117,8 @@ def hardly_varied(model: Model, effect: Effect, readings: Readings) -> bool:
         sensor is not None
         and bool(others)
         and sensor not in others
-        and not (_varied(readings, sensor) or _elsewhere(model, readings, sensor))
+        and not (_varied(readings, sensor) or sensor in off_the_fit(model, readings))
     )
-
-
-def _elsewhere(model: Model, readings: Readings, sensor: str) -> bool:
-    """Whether a temperature is by `VARIED_DEGC` above or below all that it was in the fit of the model."""
-    low, high = of_the_fit(model).get(sensor, (-math.inf, math.inf))
-    least, most = np.nanquantile(readings.channel(sensor), TRIMMED)
-    return bool(least - high >= VARIED_DEGC or low - most >= VARIED_DEGC)
 
 
 def _varied(readings: Readings, sensor: str) -> bool:

@@ -18,7 +18,7 @@ from rtec.errors import RtecError
 from rtec.estimation.joint import ChangedNumber, changed_numbers, joint_fit
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import Clean
-from rtec.estimation.warmth import EXPANDS, Warmer, off_the_fit
+from rtec.estimation.warmth import EXPANDS, Warmer, off_along
 from rtec.machine import Machine
 from rtec.model import FittedEffect, Model
 
@@ -123,6 +123,6 @@ def _offered(
     for c in changed:
         if (scale := scales.get(c.effect)) is None:
             continue
-        for sensor, by_k in off_the_fit(model, given.readings, scale.axis).items():
+        for sensor, by_k in off_along(model, given.readings, scale.axis).items():
             grows = AxisExpansion(component=scale.component, axis=scale.axis, sensor=sensor)
             yield c, FittedEffect(grows, {"k": 0.0}), by_k
