@@ -722,11 +722,11 @@ class Search:
     def _behind_arm(self, effect: Effect) -> bool:
         """Whether an effect is an angle that is read only at one lever arm, as a shift along the same axis."""
         component, shown = effect.component, self._shown
-        if component in shown or not any(c[2:] == component[2:] for c in shown):
+        direct = [self.readings.arms(c) for c in shown if c[2:] == component[2:]]
+        if component in shown or not direct or component_unit(component) != "urad":
             return False
-        arms = self.readings.arms(component)
-        at = arms[arms != 0.0]
-        return component_unit(component) == "urad" and bool(at.size) and float(np.ptp(at)) < SAME_ARM * abs(at[0])
+        arms = self.readings.arms(component)[np.any(direct, axis=0)]
+        return bool(arms.size) and float(np.ptp(arms)) < SAME_ARM * float(np.abs(arms).max())
 
     @cached_property
     def _shown(self) -> Collection[str]:
