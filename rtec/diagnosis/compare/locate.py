@@ -164,14 +164,16 @@ def scan(fine: Sequence[Variable], pairs: Sequence[tuple[Variable, Variable]], s
     chance = np.full(squares.shape[1] - 1, -np.inf)
     singles, best_pair = [], None
     whole = np.where(free[:, None], squares, 0.0)
-    total, n = whole.sum(axis=0, dtype=np.float64), float(free.sum())
+    n = float(free.sum())
+    # Over the mean square of all, so that single precision suffices for sums and logarithms.
+    whole /= np.maximum(whole.sum(axis=0, dtype=np.float64) / max(n, 1.0), TINY)
     for v in fine:
         sums, counts = _cells([v], whole, free)
         a, b = _stretches(len(v))
-        spot = _best([v], [a], [b], _within_stretch, sums, counts, total, n, chance)
+        spot = _best([v], [a], [b], _within_stretch, sums, counts, n, chance)
         singles += [spot] if spot else []
     for pair in pairs:
-        spot = _rectangles(pair, whole, free, total, chance)
+        spot = _rectangles(pair, whole, free, chance)
         if spot and (best_pair is None or spot.score > best_pair.score):
             best_pair = spot
     single = max(singles, key=lambda s: s.score, default=None)
@@ -191,7 +193,7 @@ def _cells(variables: Sequence[Variable], whole: Floats, free: Bools) -> tuple[F
     for axis in range(len(shape)):
         sums = np.concatenate([np.zeros_like(np.take(sums, [0], axis)), np.cumsum(sums, axis)], axis)
         counts = np.concatenate([np.zeros_like(np.take(counts, [0], axis)), np.cumsum(counts, axis)], axis)
-    return sums, counts
+    return sums.astype(whole.dtype), counts
 
 
 def _stretches(k: int) -> tuple[Ints, Ints]:
@@ -200,9 +202,7 @@ def _stretches(k: int) -> tuple[Ints, Ints]:
     return a.astype(np.int64), b.astype(np.int64)
 
 
-def _rectangles(
-    pair: tuple[Variable, Variable], whole: Floats, free: Bools, total: Floats, chance: Floats
-) -> Spot | None:
+def _rectangles(pair: tuple[Variable, Variable], whole: Floats, free: Bools, chance: Floats) -> Spot | None:
     sums, counts = _cells(pair, whole, free)
     (a, b), (c, d) = _stretches(len(pair[0])), _stretches(len(pair[1]))
     # The whole of one channel is a region of the other by itself.
@@ -211,7 +211,7 @@ def _rectangles(
     i, j = (g.ravel() for g in np.meshgrid(np.arange(len(a)), np.arange(len(c)), indexing="ij"))
     a, b, c, d = a[i], b[i], c[j], d[j]
 
-    return _best(list(pair), [a, c], [b, d], _within_rectangle, sums, counts, total, float(free.sum()), chance)
+    return _best(list(pair), [a, c], [b, d], _within_rectangle, sums, counts, float(free.sum()), chance)
 
 
 def _within_stretch(x: Floats, first: Sequence[Ints], last: Sequence[Ints]) -> Floats:
@@ -234,13 +234,12 @@ def _best(
     first: list[Ints],
     last: list[Ints],
     within: Callable[[Floats, Sequence[Ints], Sequence[Ints]], Floats],
-    sums: Floats,
+    sums: Any,
     counts: Floats,
-    total: Floats,
     n: float,
     chance: Floats,
 ) -> Spot | None:
-    """Best region; raises `chance` to the best score of each draw. `total` and `n` are sums over all readings."""
+    """Best region; raises `chance` to the best score of each draw. `n` readings are free."""
     count = within(counts, first, last)
     good = np.flatnonzero((count >= max(FEWEST, SHARE * n)) & (count <= LARGEST * n))
     best: Spot | None = None
@@ -248,7 +247,7 @@ def _best(
     for i in range(0, len(good), rows):
         some = good[i : i + rows]
         a, b = [x[some] for x in first], [x[some] for x in last]
-        score = _signed(within(sums, a, b), count[some], total, n)
+        score = _signed(within(sums, a, b), count[some], n)
         usual = np.sqrt(np.mean(score[:, 1:] ** 2, axis=1))
         score /= np.maximum(usual, 1.0)[:, None]
         np.maximum(chance, score[:, 1:].max(axis=0), out=chance)
@@ -258,20 +257,27 @@ def _best(
     return best
 
 
-def _signed(inside: Floats, count: Floats, total: Floats, n: float) -> Floats:
-    """Signed root of the log likelihood ratio of two variances over one, (regions, 1 + draws)."""
-    k = count[:, None]
-    within = np.maximum(inside, 0.0)
+def _signed(inside: Floats, count: Floats, n: float) -> Floats:
+    """Signed root of the log likelihood ratio of two variances over one, (regions, 1 + draws).
+
+    Args:
+        inside: sums of squares, over the mean square of all readings.
+        count: readings inside.
+        n: all readings.
+    """
+    k = count[:, None].astype(inside.dtype)
+    rest = n - k
+    without = n - inside
+    within = np.maximum(inside, 0.0, out=inside)
     within /= k
     within += TINY
-    without = total - inside
     np.maximum(without, 0.0, out=without)
-    without /= n - k
+    without /= rest
     without += TINY
     sign = np.sign(within - without)
-    everywhere = np.maximum(total, 0.0) / n + TINY
-    ratio = n * np.log(everywhere) - k * np.log(within, out=within)
-    ratio -= (n - k) * np.log(without, out=without)
+    ratio = np.log(within, out=within)
+    ratio *= -k
+    ratio -= rest * np.log(without, out=without)
     np.maximum(ratio, 0.0, out=ratio)
     sign *= np.sqrt(ratio, out=ratio)
     return np.asarray(sign)

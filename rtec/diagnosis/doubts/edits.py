@@ -32,8 +32,9 @@ GROWS = "something that grows shifts the readings as much"
 SENSORS_LATE = "the sensors warm up that much later than their parts"
 FAR_LESS = 0.75
 """Or, with the model's own numbers refitted, below this share of what the edit leaves."""
-THIN = 200
-"""Fewest readings for the first search of the place."""
+THIN, HOPEFUL = 200, 0.95
+"""Fewest readings for the first search of the place. It goes on only where that leaves less than this share of the
+residual: a fault of the record leaves far less."""
 LATE, LATES = 1 / 3, 41
 """How far the clock of the temperatures may be off, as a share of the record, and number of instants in the grid."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
@@ -118,17 +119,31 @@ def _celsius(fahrenheit: Floats) -> Floats:
 class Edits:
     """Edits that only a file can need: a channel in another unit, two labels exchanged, an axis homed elsewhere."""
 
-    def __init__(self, model: Model, readings: Readings, scale: Floats) -> None:
+    def __init__(
+        self, model: Model, readings: Readings, scale: Floats, parts: Sequence[Floats] | None = None
+    ) -> None:
         self.model, self.readings, self.scale = model, readings, scale
         machine = model.machine
         self.read = {c for f in model.effects for c in f.effect.channels(machine)}
-        self.parts = [self._part(f, readings) for f in model.effects]
+        self.parts = [self._part(f, readings) for f in model.effects] if parts is None else parts
+
+    def _only(self, keep: NDArray[np.bool_]) -> "Edits":
+        """The same with some of the readings, (m,)."""
+        if keep.all():
+            return self
+        there = np.array([keep[s.part].any() for s in self.readings.series])
+        parts = [p[keep] for p in self.parts]
+        return Edits(self.model, self.readings.without(~keep), self.scale[there], parts)
+
+    @cached_property
+    def _by_arm(self) -> dict[int, tuple[NDArray[np.bool_], Floats]]:
+        """Of effects of the model: where the lever arm is not zero, and the contribution over it, (m,) each."""
+        return {}
 
     @cached_property
     def _thin(self) -> "Edits":
         """The same with fewer readings, for a first search on a grid."""
-        keep = np.arange(len(self.readings)) % max(len(self.readings) // THIN, 1) == 0
-        return self if keep.all() else Edits(self.model, self.readings.without(~keep), self.scale)
+        return self._only(np.arange(len(self.readings)) % max(len(self.readings) // THIN, 1) == 0)
 
     def possible(self) -> list[Edit]:
         """Every edit that is possible here."""
@@ -161,12 +176,15 @@ class Edits:
             states.append(with_channels(state, channels))
         changed_readings = self.readings.with_states(states)
         left = self.readings.values.copy()
-        # Lever arms depend on the positions, and delays on the time.
-        every = CLOCK in channels or any(a.channel in channels for a in self.model.machine.axes)
+        # Lever arms and directions depend on the positions, and delays on the time.
+        moved = [a for a in self.model.machine.axes if a.channel in channels]
+        edited = {*channels, *(c for a in moved for c in a.moving_channels)}
         try:
-            for fitted, part in zip(self.model.effects, self.parts, strict=True):
-                touched = set(fitted.effect.channels(self.model.machine)) & set(channels)
-                left -= self._part(fitted, changed_readings) if every or touched else part
+            for i, (fitted, part) in enumerate(zip(self.model.effects, self.parts, strict=True)):
+                if CLOCK in channels or edited & set(fitted.effect.channels(self.model.machine)):
+                    left -= self._part(fitted, changed_readings)
+                else:
+                    left -= self._at_arms(i, changed_readings) if moved else part
         except ModelError:
             return None
         return left if np.isfinite(left).all() else None
@@ -175,6 +193,17 @@ class Edits:
         with np.errstate(all="ignore"):
             columns = readings.columns(fitted.effect, fitted.theta)
         return np.asarray(columns @ ordered(fitted, readings))
+
+    def _at_arms(self, i: int, moved: Readings) -> Floats:
+        """Contribution of an effect that reads no position, with the lever arms of other positions, (m,)."""
+        fitted = self.model.effects[i]
+        arms = moved.arms(fitted.effect.component)
+        if i not in self._by_arm:
+            here = self.readings.arms(fitted.effect.component)
+            known = here != 0.0
+            self._by_arm[i] = known, np.where(known, self.parts[i] / np.where(known, here, 1.0), 0.0)
+        known, by_arm = self._by_arm[i]
+        return arms * by_arm if not np.any(arms[~known]) else self._part(fitted, moved)
 
     def _factors(self) -> Iterator[Edit]:
         for channel in sorted(self.read - {"time_s"}):
@@ -332,9 +361,9 @@ class Edits:
                 return float(self.residuals([at(by_mm)])[0])
 
             low, high = self._room(axis)
-            if high - low < REAL["mm"]:
+            by = self._place(moved, low, high) if high - low >= REAL["mm"] else None
+            if by is None:
                 continue
-            by = self._place(moved, low, high)
             edit = f"{axis.channel} moved by {significant(by, sign=True)} mm"
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
             found = left(by)
@@ -342,12 +371,18 @@ class Edits:
             where = f"the origin of {axis.name}"
             yield Edit(found, "moved_origin", edit, suspect, where, moved(by), unless="" if apart else GROWS)
 
-    def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float:
-        """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all."""
+    def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float | None:
+        """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all.
+
+        None where even that leaves so much of the residual that it is no fault of the record.
+        """
         from scipy.optimize import minimize_scalar
 
         grid = np.linspace(low, high, SHIFTS)
-        best = float(grid[np.argmin(self._thin.residuals([at(v) for v in grid]))])
+        left = self._thin.residuals([at(v) for v in grid])
+        if not left.min() < HOPEFUL * self._thin._current:
+            return None
+        best = float(grid[np.argmin(left)])
         step = float(grid[1] - grid[0])
         bounds = max(best - step, low), min(best + step, high)
         return float(minimize_scalar(lambda v: self.residuals([at(v)])[0], bounds=bounds, method="bounded").x)
@@ -370,6 +405,8 @@ class Edits:
             if last - first < REAL["mm"] or low - beyond + last > high + beyond + first:
                 continue
             about = self._place(turned, low - beyond + last, high + beyond + first)
+            if about is None:
+                continue
             middle, found = self.residuals([turned(low + high), turned(about)])
             about = low + high if middle < AS_GOOD * found else about
             yield Edit(
@@ -404,7 +441,10 @@ class Edits:
             return float(max(now, few._current * now / max(current, 1e-300)))
 
         grid = np.linspace(-LATE * span, LATE * span, LATES)
-        best = float(grid[np.argmin([left(by, self._thin) for by in grid])])
+        coarse = np.array([left(by, self._thin) for by in grid])
+        if not coarse.min() < HOPEFUL * self._thin._current:
+            return
+        best = float(grid[np.argmin(coarse)])
         step = float(grid[1] - grid[0])
         by = float(minimize_scalar(left, bounds=(best - step, best + step), method="bounded").x)
         way = "earlier" if by > 0.0 else "later"
@@ -532,10 +572,7 @@ class Edits:
             for t in [s.time_s]
         ]
         drop = np.concatenate(out)
-        if not drop.any() or drop.all():
-            return self
-        there = np.array([not drop[s.part].all() for s in self.readings.series])
-        return Edits(self.model, self.readings.without(drop), self.scale[there])
+        return self if drop.all() else self._only(~drop)
 
     @cached_property
     def _current(self) -> float:
