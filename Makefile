@@ -73,11 +73,10 @@ discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many a
 	$(BIN)/python -m tests.discovery
 	$(BIN)/rtec bench discovery --seeds 1000:1006 --jobs 2
 
-proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines; tests of rates on all of theirs
+proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines; all seeds of the tests that have many
 	$(BIN)/python -m tests.ball_bar.ball_bar_proof
-	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n 0 tests/metrology/test_grid_encoder.py \
-	  tests/diagnosis/test_compare_locate.py tests/real/test_real_fit.py tests/discovery/test_discovery.py \
-	  tests/characterise/test_characterise_choose.py \
+	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n auto --dist loadgroup tests/diagnosis tests/characterise tests/ball_bar \
+	  tests/metrology/test_grid_encoder.py tests/real/test_real_fit.py tests/discovery/test_discovery.py \
 	  tests/sim/test_campaign.py tests/daemon/test_ring.py tests/hil/test_kill.py
 
 reference: $(STAMP)  ## the page of all keys, off the models that check the files

@@ -33,7 +33,7 @@ from rtec.estimation import floor
 from rtec.estimation.columns import base_of
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.gram.fit import Estimate, estimate
-from rtec.estimation.gram.identifiable import check_seen, tellable
+from rtec.estimation.gram.identifiable import check_seen, names, tellable
 from rtec.estimation.gram.projection import starting_terms
 from rtec.estimation.gram.source import Source, reads, thinned
 from rtec.estimation.gram.stream import Term, gather
@@ -179,11 +179,23 @@ def _fit(
     given: Clean, doubt: Warn | None, wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
 ) -> tuple[Estimate, Screened | None, TermChoice | None]:
     try:
-        return _fit_to(given, wanted, leave_out_h, stage or (lambda _what, _done, _total: None))
+        found = _fit_to(given, wanted, leave_out_h, stage or (lambda _what, _done, _total: None))
+        _check_waves(found[0])
+        return found
     except ModelError as e:
         if doubt is None:
             raise
         raise ModelError(f"{e}\n{doubt.text}: {doubt.remedy}") from e
+
+
+def _check_waves(fit: Estimate) -> None:
+    """Raise ModelError where the readings show a wave at too few of its phases; only one that was asked for is left."""
+    loose = [i for i in fit.undetermined if isinstance(fit.terms[i].effect, WAVES)]
+    if loose:
+        raise ModelError(
+            f"fit: these readings do not determine {names(fit.terms, loose)}: the targets show too little of a turn; "
+            "leave it out, or measure at unequal steps"
+        )
 
 
 def _fit_to(
@@ -249,7 +261,8 @@ def _further_rules(
     more = [c for c in (*cancelling, *_against_each_other(fit, fixed, named)) if c and c not in rules.single]
     single = (*rules.single, *dict.fromkeys(more))
     waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not named(t)]
-    barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
+    loose = [fit.terms[i] for i in fit.undetermined]
+    barred = rules.barred | {drive(t.effect) for t in waves if t in loose or not _predicts(readings, fit, t)}
     barred |= _crowded(readings, fit.terms[fixed:], named) | _one_too_many(fit, fixed, named)
     return replace(rules, single=single, barred=barred)
 

@@ -134,6 +134,17 @@ def of_warmth(changed: Sequence[ChangedNumber]) -> str:
     return "".join(f" {text}" for text in (*(f"{t}." for t in decided), *open_))
 
 
+def of_sensors(changed: Sequence[ChangedNumber]) -> str:
+    """That sensors may read too high or too low, so that numbers only look changed; empty where none do."""
+    return "".join(
+        f" {c.misread.sensor} stands apart from the other temperatures by more than in the fit: if it reads "
+        f"{significant(abs(c.misread.by_k), 2)} K too {'high' if c.misread.by_k > 0.0 else 'low'}, {c.effect} has not "
+        "changed. Hold it beside another thermometer."
+        for c in changed
+        if c.misread is not None
+    )
+
+
 def _warmer(scale: str, w: Warmer) -> str:
     is_so = f"{w.sensor} is {significant(abs(w.by_k), 2)} K {'warmer' if w.by_k > 0.0 else 'colder'} than in the fit"
     growth = f"{significant(w.growth, 2)} µm/(m·K)"
@@ -144,6 +155,12 @@ def _warmer(scale: str, w: Warmer) -> str:
         f"{is_so}: {w.effect} of {growth}{rivals} in place of the change of {scale} leaves only {number(w.leaves)}; "
         "`rtec improve` adds it if it predicts held-out runs better, too"
     )
+
+
+def with_changes_beside(d: Diagnosis, changed: Sequence[ChangedNumber]) -> Diagnosis:
+    """The diagnosis with numbers of the model that have changed, as only what is named beside them shows."""
+    parts = ", ".join(map(_moved, changed[:MOST_CHANGED]))
+    return replace(d, sentence=f"{sentence(d.sentence)} Beside it the model's numbers have changed: {parts}.")
 
 
 def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, held_out: float) -> Diagnosis:
@@ -159,7 +176,7 @@ def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, hel
     before, after = two_numbers(d.rms_residual, rms)
     unit = ERROR_UNITS[d.unit]
     text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {unit}."
-    text += of_warmth(changed)
+    text += of_warmth(changed) + of_sensors(changed)
     d = replace(d, changed=tuple(changed), changed_rms=rms, changed_held_out=held_out)
     asked = of_files([b.message for b in d.doubts if b.kind == "other_machine"])
     if d.verdict == "nothing_missing" and any(c.warmer is not None and c.warmer.effect for c in changed):

@@ -4,8 +4,9 @@ A number that the measurements do not show keeps its value. What earlier reading
 it was uncertain; freely where these readings show that it has changed. So a worn nut does not loosen an expansion.
 """
 
+import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -19,13 +20,13 @@ from rtec.effects.reversal import Backlash, BacklashTemperature
 from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.columns import slope
-from rtec.estimation.determined import undetermined
+from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gls import HeldOut, held_out, inverse, solve
 from rtec.estimation.noise import Whitener, find_noise, refine
 from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, telling, weights, widening
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
-from rtec.estimation.warmth import Warmer, of_the_fit, warmer
+from rtec.estimation.warmth import Misread, Warmer, misread, of_the_fit, warmer
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import SearchScale
 from rtec.model.model import ErrorCorrelation, names_of, number_name
@@ -187,6 +188,7 @@ class ChangedNumber:
         was, now: earlier, and in these readings.
         error: standard error of `now`.
         warmer: of a scale error: a sensor whose part is warmer now, so that its expansion would look the same.
+        misread: of a scale error: a sensor that, if it reads too high or too low now, would look the same.
     """
 
     effect: str
@@ -196,6 +198,7 @@ class ChangedNumber:
     now: float
     error: float
     warmer: Warmer | None = None
+    misread: Misread | None = None
 
 
 def changed_numbers(
@@ -220,7 +223,8 @@ def changed_between(model: Model, fit: Joint, readings: Readings) -> tuple[Chang
             old, new, error = was.values[p.name], now.values[p.name], now.errors.get(p.name, 0.0)
             if abs(new - old) > FAR * math.hypot(was.errors.get(p.name, math.inf), error):
                 heat = warmer(model, readings, was.effect, new - old)
-                out.append(ChangedNumber(was.label, p.name, p.unit, old, new, error, heat))
+                off = misread(model, readings, was.effect, new - old)
+                out.append(ChangedNumber(was.label, p.name, p.unit, old, new, error, heat, off))
     return tuple(out)
 
 
@@ -640,10 +644,24 @@ def _numbers(work: _Work, found: _Numbers) -> tuple[tuple[FittedEffect, ...], tu
     mine = known[np.ix_(terms, terms)]
     names = [number_name(i, f.effect, n) for i, f in enumerate(filled, 1) for n in f.values]
     names += [number_name(i + 1, filled[i].effect, n) for i, n in owner]
-    return tuple(out), _undetermined(readings, found, whole[:, terms], mine, of), ErrorCorrelation.of(names, mine)
+    ends = itertools.accumulate(len(f.values) for f in filled)
+    phases = [
+        pair
+        for f, end in zip(filled, ends, strict=True)
+        for pair in phases_of(f.effect, range(end - len(f.values), end))
+    ]
+    loose = _undetermined(readings, found, whole[:, terms], mine, of, phases)
+    return tuple(out), loose, ErrorCorrelation.of(names, mine)
 
 
-def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:
+def _undetermined(
+    readings: Readings,
+    found: _Numbers,
+    columns: Floats,
+    known: Floats,
+    of: Ints,
+    phases: Collection[tuple[int, int]],
+) -> tuple[int, ...]:
     """Effects of which only the sum with others is determined.
 
     Args:
@@ -652,6 +670,7 @@ def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: F
         columns: of coefficients, then slopes, (m, k).
         known: their covariance, (k, k).
         of: number of the effect of each, (k,).
+        phases: coefficients in pairs: of one wave, at two phases.
     """
     left = found.left(readings)
     weigh = found.weights if isinstance(found.weights, Plain) else weights(readings, found.noise, left)
@@ -662,7 +681,7 @@ def _undetermined(readings: Readings, found: _Numbers, columns: Floats, known: F
     gram = np.stack([p.T @ p for p in parts])
     count = found.columns.shape[1] - readings.setup.shape[1]
     values = np.append(found.values[:count], np.zeros(len(of) - count))
-    return tuple(undetermined(gram[:, :-1, :-1], values, known, of, gram[:, -1, -1]))
+    return tuple(undetermined(gram[:, :-1, :-1], values, known, of, gram[:, -1, -1], phases))
 
 
 def _errors_of(before: FittedEffect, errors: Floats, places: Mapping[str, int]) -> dict[str, float]:

@@ -3,6 +3,7 @@
 Of a cold day and a warm one, a scale error that changed and a part that expands look the same.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -17,6 +18,9 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 
 WARMER_K = 1.0
+MISREADS_K, APART = (1.0, 20.0), 0.5
+"""What a sensor may read too high or too low; and the share of the change of its distance from all others, since the
+fit, that must remain unexplained at most."""
 EXPANDS, SURE = 25.0, 2.0
 """Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
 
@@ -53,6 +57,19 @@ class Warmer:
     effect: str = ""
     leaves: float | None = None
     rivals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Misread:
+    """A sensor that a model follows and that seems to read too high or too low.
+
+    Attributes:
+        sensor: its name.
+        by_k: how many kelvin too high.
+    """
+
+    sensor: str
+    by_k: float
 
 
 def recorded_degc(measurements: Iterable[Measurement]) -> dict[str, dict[str, list[float]]]:
@@ -121,3 +138,35 @@ def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> W
             own = any(readings.machine.of_another_axis(name, a.name) for a in readings.machine.axes)
             found.append((own, abs(by_k), Warmer(name, by_k, change / by_k)))
     return max(found, key=lambda f: f[:2])[2] if found else None
+
+
+def misread(model: Model, readings: Readings, effect: Effect, change: float) -> Misread | None:
+    """The sensor of an expansion of the model that, reading too high or too low, looks like a change of a scale error.
+
+    It must stand apart from all others by about as much more than in the fit. None where there is none.
+
+    Args:
+        model: of an earlier day.
+        readings: of today.
+        effect: of the model.
+        change: of its number, µm/m.
+    """
+    if not isinstance(effect, Scale) or not _of_a_length(effect):
+        return None
+    then, now = ({n: sum(v) / 2.0 for n, v in r.items()} for r in (of_the_fit(model), _recorded(readings.measurements)))
+    known = then.keys() & now.keys()
+    for f in model.effects:
+        if not isinstance(f.effect, AxisExpansion) or (f.effect.component, f.effect.axis) != (
+            effect.component,
+            effect.axis,
+        ):
+            continue
+        name, k = f.effect.sensor, f.values["k"]
+        others = [now[n] - then[n] for n in known if n != name]
+        by_k = -change / k if k else math.inf
+        if name not in known or not others or not MISREADS_K[0] <= abs(by_k) <= MISREADS_K[1]:
+            continue
+        apart = now[name] - then[name] - float(np.median(others))
+        if abs(apart - by_k) < APART * abs(apart):
+            return Misread(name, by_k)
+    return None

@@ -14,7 +14,7 @@ from rtec.diagnosis.extend.add import CLEARLY, Added, not_determined
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import NEAREST, SHAPE, Improved
 from rtec.diagnosis.extend.record_event import words
-from rtec.diagnosis.words import drifts, of_changes, of_warmth, sentence, spoken
+from rtec.diagnosis.words import drifts, of_changes, of_sensors, of_warmth, sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
 from rtec.report.figures import OFF, ON, as_png, stacked
@@ -138,7 +138,7 @@ def _refit_words(refit: Added, model: Model) -> str:
     ends = [replace(c, now=values.get((c.effect, c.name), c.now)) for c in refit.changed]
     changed = [e for e, c in zip(ends, refit.changed, strict=True) if abs(e.now - e.was) > HALF * abs(c.now - c.was)]
     why = of_changes(changed) if changed else "These readings refine the model's own numbers"
-    return f"{why}; refitted, the residual on held-out runs {went}.{of_warmth(changed)} "
+    return f"{why}; refitted, the residual on held-out runs {went}.{of_warmth(changed)}{of_sensors(changed)} "
 
 
 def improved_page(r: Improved, figures: bool = True) -> Page:

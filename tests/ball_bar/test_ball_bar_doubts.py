@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rtec.metrology.ball_bar.diagnosis import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.report.ball_bar import ball_bar_page
+from tests.support import proof
 from tests.support.ball_bar_truth import THREE, TrueMachine, recordings
 
 MACHINE = TrueMachine("tool", "XY", {"scale_a": 20.0, "lean": 15.0, "play_a": 3.0})
@@ -19,7 +20,7 @@ def changed(m: Measurement, by: NDArray[np.float64]) -> Measurement:
     return replace(m, readings={k: v + by for k, v in m.readings.items()})
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", proof.few([1, 2, 3, 4, 5], 1))
 @pytest.mark.parametrize("noise_um", [0.05, 0.5])
 def test_readings_of_one_set_up_are_not_doubted(seed: int, noise_um: float) -> None:
     assert not diagnose(recordings(MACHINE, THREE, noise_um, seed)).doubts

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import rtec
 from rtec.characterise import characterise
 from rtec.metrology.measurement import Measurement
+from tests.support import proof
 from tests.support.sim_example import CONFIGS, MACHINE_FILE
 
 Floats = NDArray[np.float64]
@@ -47,7 +48,7 @@ def warming(seed: int) -> Measurement:
 def test_a_screw_grows_with_its_own_nut() -> None:
     """Of ten such days six had followed the headstock, at 30 µm/m/K: no material grows so much."""
     followed = set()
-    for seed in range(1, 11):
+    for seed in range(1, 1 + proof.of(10, 3)):
         model = characterise([warming(seed)]).model
         followed |= {f.label for f in model.effects if f.effect.effect == "axis_expansion"}
     assert followed == {"axis_expansion(EXX, X, T_x_nut)"}

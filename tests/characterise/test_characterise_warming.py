@@ -13,6 +13,7 @@ from rtec.effects.effect_list import read_wanted
 from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.readings import read
 from rtec.metrology.instruments.registry import make_instrument
+from tests.support import proof
 from tests.support.diagnosis_examples import laser, small_machine
 from tests.support.warming import Warming, warming
 
@@ -30,14 +31,17 @@ def most_over_sum(found: Characterisation, w: Warming) -> float:
 
 @pytest.mark.parametrize(
     ("seed", "runs", "source", "lag_s"),
-    [
-        (42, 8, "T_bed", 0.0),
-        (86, 8, "T_nut", 2500.0),
-        (119, 20, "T_nut", 900.0),
-        (76, 20, "T_nut", 2500.0),
-        (2, 12, "T_nut", 2500.0),
-        (62, 12, "T_nut", 2500.0),
-    ],
+    proof.few(
+        [
+            (42, 8, "T_bed", 0.0),
+            (86, 8, "T_nut", 2500.0),
+            (119, 20, "T_nut", 900.0),
+            (76, 20, "T_nut", 2500.0),
+            (2, 12, "T_nut", 2500.0),
+            (62, 12, "T_nut", 2500.0),
+        ],
+        2,
+    ),
 )
 def test_another_day_is_predicted_as_by_the_law(seed: int, runs: int, source: str, lag_s: float) -> None:
     w = warming(seed, runs, source=source, lag_s=lag_s)
@@ -68,7 +72,7 @@ def test_two_delays_of_one_temperature_do_not_take_back_what_each_makes(seed: in
     assert other_day_um(found, w) < w.missed_um(np.zeros(len(w.other)))
 
 
-@pytest.mark.parametrize("seed", [16, 73, 107])
+@pytest.mark.parametrize("seed", proof.few([16, 73, 107], 2))
 def test_no_delay_is_longer_than_half_of_the_record(seed: int) -> None:
     """A temperature that lags by more hardly moves, so that its number may be of any size."""
     w = warming(seed, 8, source="T_air", lag_s=2500.0)
@@ -77,7 +81,7 @@ def test_no_delay_is_longer_than_half_of_the_record(seed: int) -> None:
     assert all(tau < 1.0001 * longest for tau in delays)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", proof.few([1, 2, 3, 4], 2))
 def test_a_machine_that_does_not_grow_gets_no_temperature(seed: int) -> None:
     """Oracle: only a scale error and a backlash were put in."""
     found = characterise([warming(seed, 8, grows=False).given])

@@ -20,6 +20,7 @@ from rtec.estimation.noise import minutes
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from tests.support import proof
 
 
 def screw(sensor: str, lag: bool = False) -> AxisExpansion:
@@ -45,7 +46,7 @@ def made(parts: Mapping[str, float], seed: int) -> tuple[Model, Measurement]:
     return add(replace(model, effects=effects), [], [m]).model, m
 
 
-@pytest.mark.parametrize("seed", [50, 51, 52])
+@pytest.mark.parametrize("seed", proof.few([50, 51, 52], 2))
 def test_one_temperature_is_enough_where_one_is_all(seed: int) -> None:
     model, m = made({"T_nut": 4.0}, seed)
     assert not list(further_temperatures(Judgement(model, clean([m], model.reference_degc))))
@@ -64,7 +65,7 @@ def test_a_model_without_a_temperature_is_offered_none() -> None:
     assert not list(further_temperatures(Judgement(alone, clean([m], model.reference_degc))))
 
 
-@pytest.mark.parametrize("seed", [50, 51, 52])
+@pytest.mark.parametrize("seed", proof.few([50, 51, 52], 2))
 def test_no_further_temperature_stands_for_a_missing_scale_error(seed: int) -> None:
     """The air acts, too; without a scale error in the model its number would follow that."""
     model, m = made({"T_nut": 4.0, "T_air": 2.0}, seed)
@@ -124,7 +125,7 @@ def test_of_two_delays_the_name_gives_the_fitted_one() -> None:
     assert added.labels == (f"axis_expansion(EXX, X, T_nut), {minutes(fitted)} late",)
 
 
-@pytest.mark.parametrize("seed", [50, 51])
+@pytest.mark.parametrize("seed", proof.few([50, 51], 1))
 def test_a_body_is_not_warmer_where_another_is_colder(seed: int) -> None:
     """The air acts against the nut. Oracle: a body is as warm as a mean of those around it."""
     model, m = made({"T_nut": 4.0, "T_air": -2.0}, seed)
@@ -159,7 +160,7 @@ def test_a_further_temperature_leaves_other_effects_determined(
     assert module._determined(before, added) is taken
 
 
-@pytest.mark.parametrize(("what", "seed"), [("warm_up_warm_screw", 83002), ("any_spindle_heat", 84007)])
+@pytest.mark.parametrize(("what", "seed"), proof.few([("warm_up_warm_screw", 83002), ("any_spindle_heat", 84007)], 1))
 def test_where_the_first_is_uncertain_another_is_tried(what: str, seed: int) -> None:
     """A screw between nut, bed and air; a bearing between friction and spindle.
 

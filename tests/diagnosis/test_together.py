@@ -1,11 +1,13 @@
 """Several effects that are missing together on a ball bar; oracle: the mechanism of [BB], written down by hand."""
 
+import functools
 from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
 from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.words import AMONG
 from rtec.metrology.measurement import Measurement
@@ -52,21 +54,27 @@ def base() -> Model:
     return Model(machine, tuple(effect_from_text(f"scale,component=E{a}{a},axis={a},k=0", machine) for a in "XY"))
 
 
+@functools.cache
+def answer(what: str) -> Diagnosis:
+    static, dynamic, _ = CAUSES[what]
+    return diagnose(base(), circles(static, dynamic), draws=100)
+
+
+@pytest.mark.xdist_group("together")
 @pytest.mark.parametrize("what", CAUSES)
 def test_each_of_several_is_named_and_nothing_that_stands_for_several(what: str) -> None:
     """A fading reversal error of one axis explains part of the clearance of the other, while that is missing."""
-    static, dynamic, causes = CAUSES[what]
-    found = diagnose(base(), circles(static, dynamic), draws=100)
+    causes, found = CAUSES[what][2], answer(what)
     assert len(found.together) == len(causes), found.sentence
     for cause in causes:
         assert any(is_one(m.label, cause) for m in found.together), found.sentence
 
 
+@pytest.mark.xdist_group("together")
 @pytest.mark.parametrize("what", ["two clearances", "four"])
 def test_words_and_probabilities_of_candidates_agree(what: str) -> None:
     """Each by itself: the first of several is often less likely than what stands for several. Oracle: the odds."""
-    static, dynamic, _ = CAUSES[what]
-    found = diagnose(base(), circles(static, dynamic), draws=100)
+    found = answer(what)
     first, said = found.findings[0].log_evidence, set[str]()
     for f in found.findings[1:]:
         said.add(f.why_not.split(";")[0])

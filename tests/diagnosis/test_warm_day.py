@@ -3,6 +3,7 @@
 Oracle: the laws by which the days were made, and a third day at other temperatures.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -117,3 +118,19 @@ def test_a_scale_that_was_replaced_on_a_colder_day_is_no_expansion(seed: int) ->
     done = improve(plain, [day(seed, 16.0, scale=-45.0)], draws=50)
     assert done.model.effects[0].values["k"] == pytest.approx(-45.0, abs=3.0)
     assert not done.steps
+
+
+@pytest.mark.parametrize("off_k", [-2.5, 3.0])
+def test_a_sensor_that_reads_too_high_is_said_beside_the_scale_that_seems_to_have_changed(off_k: float) -> None:
+    """Oracle: what was added to one column; the machine is as before, and where no sensor is off nothing is said."""
+    start = Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN), name="mill")
+    model, today = add(start, [], [day(1, 21.0)]).model, day(2, 21.0)
+    off = replace(today, channels={**today.channels, "T_x_nut": today.channels["T_x_nut"] + off_k})
+    found = diagnose(model, [off], draws=50, explain=True)
+    (changed,) = found.changed
+    assert changed.misread is not None
+    assert changed.misread.sensor == "T_x_nut"
+    assert changed.misread.by_k == pytest.approx(off_k, abs=0.3)
+    assert f"if it reads {abs(changed.misread.by_k):.1f} K too {'high' if off_k > 0.0 else 'low'}" in found.sentence
+    (worn,) = diagnose(model, [day(3, 21.0, scale=SCALE - SCREW * off_k)], draws=50, explain=True).changed
+    assert worn.misread is None

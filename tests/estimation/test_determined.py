@@ -8,8 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import characterise
-from rtec.diagnosis.extend.add import add, asked_effect, refused
+from rtec.diagnosis.extend.add import add, asked_effect, not_determined, predicted, refused
+from rtec.diagnosis.extend.improve import improve
+from rtec.effects.effect_list import AskedEffects
+from rtec.errors import ModelError
 from rtec.estimation.determined import undetermined
+from rtec.estimation.readings import read
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -78,3 +82,22 @@ def test_two_delays_of_one_temperature_that_cancel_are_not_fitted_together(
     found = characterise([laser(place, runs, time_s, channels, rise * place * heat - 2.0 * direction)])
     assert [f.label for f in found.model.effects] == ["backlash(EXX, X)"]
     assert found.model.effects[0].values["B"] == pytest.approx(-4.0, abs=0.2)
+
+
+def test_a_wave_of_which_the_targets_show_one_phase_is_not_added() -> None:
+    """Steps of two and a half pitches show the cosine alone; the sine was -21 ± 6185 µm. Oracle: the steps."""
+    machine, wave = small_machine(), effects("cyclic_screw,component=EXX,axis=X,pitch=5,s1=2,c1=1.5")
+    start = Model(machine, effects("scale,component=EXX,axis=X,k=0"))
+    for uneven_mm, determined in ((0.0, False), (4.0, True)):
+        at = 10.0 + 12.5 * np.arange(14) + uneven_mm * np.random.default_rng(2).uniform(-1.0, 1.0, 14)
+        place = np.tile(np.concatenate([at, at[::-1]]), 6) + 0.002 * np.random.default_rng(3).standard_normal(168)
+        still = laser(place, 6, 30.0 * np.arange(168.0), {}, np.zeros(168))
+        error = predicted(wave, read([still]))
+        made = improve(start, [laser(place, 6, still.time_s, {}, error)])
+        assert [s.labels for s in made.steps] == [("cyclic_screw(EXX, X)",)] * determined
+        fitted = characterise([m := laser(place, 6, still.time_s, {}, error)]).model.effects
+        assert ("cyclic_screw" in [f.effect.effect for f in fitted]) is determined
+        if not determined:
+            assert "measure at unequal steps" in not_determined(made.cancelling)
+            with pytest.raises(ModelError, match=r"do not determine cyclic_screw\(EXX, X\).* measure at unequal steps"):
+                characterise([m], wanted=AskedEffects(("cyclic_screw",), ()))

@@ -16,6 +16,7 @@ from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, Series, looked_at
+from rtec.estimation.warmth import WARMER_K, of_the_fit
 from rtec.estimation.wrong_scale import unit_of
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -68,6 +69,8 @@ def edited_record(judged: Judgement, measured: Floats, predicted: Floats) -> Edi
     if found.kind in ("wrong_gain", "lost_sensor"):
         return found
     if found.kind in ("wrong_channel", "swapped_sensors") and _new_number_does(judged, found):
+        return None
+    if found.kind == "swapped_sensors" and _other_sensor_does(judged, found):
         return None
     if not _runs_decide(judged, found):
         return None
@@ -217,6 +220,37 @@ def _new_number_does(judged: Judgement, found: Edit) -> bool:
         times = 1.0 + solve(columns, judged.left) / np.where(old == 0.0, math.inf, old)
         if not found.of_unit or np.all((times < MANY_TIMES) & (times > 1.0 / MANY_TIMES)):
             return True
+    return False
+
+
+def _other_sensor_does(judged: Judgement, found: Edit) -> bool:
+    """Whether an effect of the model by a third sensor leaves clearly less than with two sensors exchanged; or about as
+    little, where that does not reach the noise; or whether both were as warm on the day of the fit.
+
+    A model may follow a sensor that was near the right one on the day of its fit: the exchange only brings it nearer.
+    """
+    then = [of_the_fit(judged.model).get(name) for name in found.channels]
+    known = [t for t in then if t is not None]
+    if len(known) == len(then) and float(np.ptp(known, axis=0).max()) < WARMER_K:
+        return True
+    reached = found.residual <= NEAR_FLOOR * judged.noise_floor
+    enough = found.residual * (1.0 / AS_GOOD if reached else AS_GOOD)
+    readings, machine = judged.readings, judged.model.machine
+    others = [n for n in machine.sensor_names if n not in found.channels]
+    others = [n for n in others if all(n in s.channels for s in readings.states)]
+    for fitted in judged.model.effects:
+        effect = fitted.effect
+        if getattr(effect, "sensor", None) not in found.channels:
+            continue
+        own = floor.cleaned(readings, readings.columns(effect, fitted.theta) @ ordered(fitted, readings))
+        without = judged.left + own
+        for name in others:
+            by = effect.model_copy(update={"sensor": name})
+            late = [_columns(judged, by, {p.name: v}) for p in by.nonlinear(machine) for v in p.grid]
+            at_once = by.model_copy(update={"lag": False}) if getattr(by, "lag", False) else by
+            for columns in [_columns(judged, at_once), *late]:
+                if judged.pooled(without - columns @ solve(columns, without)) < enough:
+                    return True
     return False
 
 

@@ -119,9 +119,7 @@ def _celsius(fahrenheit: Floats) -> Floats:
 class Edits:
     """Edits that only a file can need: a channel in another unit, two labels exchanged, an axis homed elsewhere."""
 
-    def __init__(
-        self, model: Model, readings: Readings, scale: Floats, parts: Sequence[Floats] | None = None
-    ) -> None:
+    def __init__(self, model: Model, readings: Readings, scale: Floats, parts: Sequence[Floats] | None = None) -> None:
         self.model, self.readings, self.scale = model, readings, scale
         machine = model.machine
         self.read = {c for f in model.effects for c in f.effect.channels(machine)}
@@ -197,7 +195,8 @@ class Edits:
     def _at_arms(self, i: int, moved: Readings) -> Floats:
         """Contribution of an effect that reads no position, with the lever arms of other positions, (m,)."""
         fitted = self.model.effects[i]
-        arms = moved.arms(fitted.effect.component)
+        with np.errstate(all="ignore"):
+            arms = moved.arms(fitted.effect.component)
         if i not in self._by_arm:
             here = self.readings.arms(fitted.effect.component)
             known = here != 0.0

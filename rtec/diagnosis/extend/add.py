@@ -552,7 +552,9 @@ def sharper(before: Errors, after: Errors, readings: int) -> bool:
 def not_determined(names: Sequence[str]) -> str:
     """What readings do not determine of effects, one or several that cancel each other, in words."""
     if len(names) == 1:
-        return f"these readings do not determine {names[0]} beside the other effects of the model"
+        wave = issubclass(all_effects().get(names[0].split("(")[0], Effect), Cyclic)
+        why = ": the targets show too little of its turn; measure at unequal steps" if wave else ""
+        return f"these readings do not determine {names[0]} beside the other effects of the model{why}"
     return f"these readings determine only what {' and '.join(names)} make together"
 
 

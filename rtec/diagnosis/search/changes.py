@@ -41,16 +41,21 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     if again or not known or not certain:
         return found
     changed, effects = changed_numbers(model, given.readings)
+    beside: tuple[ChangedNumber, ...] = ()
     if doubted:
         turned = {f.label for f in model.effects if _of_reversal(f.effect, model.machine)}
         changed = tuple(c for c in changed if c.effect in turned)
         pairs = zip(model.effects, effects, strict=True)
         effects = tuple(now if now.label in turned else was for was, now in pairs)
-    if changed and found.group:
+    if found.group:
         # A number that holds beside what is named only made up for its absence.
-        still = {(c.effect, c.name) for c in changed_numbers(model, given.readings, _named(found, model))[0]}
-        changed = tuple(c for c in changed if (c.effect, c.name) in still)
+        still = changed_numbers(model, given.readings, _named(found, model))[0]
+        before, there = ({(c.effect, c.name) for c in some} for some in (changed, still))
+        changed = tuple(c for c in changed if (c.effect, c.name) in there)
+        beside = tuple(c for c in still if (c.effect, c.name) not in before)
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
+    if beside and not doubted:
+        found = words.with_changes_beside(found, beside)
     if not changed:
         return found
     changed = with_expansions(changed, expansions_instead(model, given, changed, left.residual))

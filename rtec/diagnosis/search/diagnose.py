@@ -327,9 +327,9 @@ class Search:
         """Refitted candidates, the one to be named first; and whether noise alone is an unlikely cause of it."""
         again = self.refits.refitted(found, self.refits.weigh_without_drift())
         ordered = led(again, self._prior_odds + SURE, self.prepared.base, self.readings)
-        refitted = self._place_first(self._apart_from_warm_up(self._possible_first(self._direct_first(ordered))))
+        refitted = self._place_first(self._direct_first(self._apart_from_warm_up(self._possible_first(ordered))))
         accepted = bool(refitted) and self._accepts(refitted[0], p)
-        return self._leaner_first(refitted) if accepted else refitted, accepted
+        return self._direct_first(self._leaner_first(refitted)) if accepted else refitted, accepted
 
     def _together(
         self, refitted: list[Refitted], p: float, unknown: Unknown | None, seek: bool
@@ -362,7 +362,8 @@ class Search:
         """The same; of one shape and as many numbers a shift that the readings show first, no angle of the same axis.
 
         With one arm alone nothing separates an angle from a shift. Elsewhere on the machine the angle moves the tool as
-        well, in two directions that nobody measured.
+        well, in two directions that nobody measured. So a shift by one temperature is before an angle by two, too: any
+        two make many a curve.
         """
         shown = self._shown
         turns = bool(refitted) and component_unit(self._component(refitted[0])) == "urad"
@@ -381,8 +382,30 @@ class Search:
             own = self._component(t) in shown and self._component(t)[2:] == self._component(lead)[2:]
             return near and own and cosine(part(t), part(lead)) > ONE
 
-        first = next((t for t in refitted[1:] if stands_for_it(t)), lead)
+        first = next((t for t in refitted[1:] if stands_for_it(t)), None) or self._by_fewer(refitted) or lead
         return [first, *(t for t in refitted if t is not first)]
+
+    def _by_fewer(self, refitted: list[Refitted]) -> Refitted | None:
+        """A shift of the axis of the first angle that the readings show, by fewer channels and no more numbers."""
+        lead, machine = refitted[0], self.model.machine
+
+        def rank(t: Refitted) -> tuple[int, int]:
+            effect = self.candidates[t.number].effect
+            return len(effect.channels(machine)), t.columns.shape[1] + len(t.theta)
+
+        (channels, numbers), mine = rank(lead), self._component(lead)[2:]
+        near = [
+            (rank(t)[1], -t.log_evidence, i)
+            for i, t in enumerate(refitted)
+            if t.holds
+            and lead.log_evidence - t.log_evidence < WITHIN
+            and self._component(t) in self._shown
+            and self._component(t)[2:] == mine
+            and rank(t)[0] < channels
+            and rank(t)[1] <= numbers
+            and not self._beyond_materials(t)
+        ]
+        return refitted[min(near)[2]] if near else None
 
     def _possible_first(self, refitted: list[Refitted]) -> list[Refitted]:
         """The same; first an effect as likely as one that no material allows, by another sensor.

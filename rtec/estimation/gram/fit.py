@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ModelError
-from rtec.estimation.determined import undetermined
+from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gram.identifiable import check_seen
 from rtec.estimation.gram.late import shift_by_common_lag
 from rtec.estimation.gram.normal import Normal
@@ -89,7 +89,13 @@ class Estimate:
         shown = normal.by_source()
         left = np.zeros(len(shown))
         np.add.at(left, [c.source for c in self.linear.cells], self.cells[1])
-        return undetermined(shown, values, self.covariance, terms[normal.owner], left)
+        phases = [
+            pair
+            for i, term in enumerate(self.terms)
+            if term.only is None
+            for pair in phases_of(term.effect, np.flatnonzero(self.linear.owner == i).tolist())
+        ]
+        return undetermined(shown, values, self.covariance, terms[normal.owner], left, phases)
 
     @cached_property
     def by_common_lag(self) -> Floats:
