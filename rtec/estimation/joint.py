@@ -44,6 +44,8 @@ CHANGED, FAR = 6.0, 3.5
 """The numbers of an effect have changed where twice the logarithm of the evidence rises by the first, which are odds of
 20 to 1, and one of them moves by the second in standard errors, under noise that may drift; by more where few runs
 determine it, as of Student's distribution."""
+ENOUGH_RUNS, MOST = 6, 0.5
+"""So many runs say how sure a number is, where its change leaves less than this share of the mean square."""
 ONE_TEMPERATURE_K, NARROW_K = 1.0, 3.0
 AT_ONE_TEMPERATURE: Mapping[type[Effect], type[Effect]] = {AxisExpansion: Scale, BacklashTemperature: Backlash}
 """What an effect of a temperature is while that is one and the same, within the second range."""
@@ -537,14 +539,28 @@ def _places(work: _Work, numbers: Iterable[int]) -> Iterator[int]:
 
 
 def _moves_far(work: _Work, by: Plain, columns: Floats, changed: int, loose: Sequence[float]) -> bool:
-    """Whether a number of a changed effect moves by many standard errors, under noise that may drift."""
+    """Whether a number of a changed effect moves by many standard errors, under noise that may drift.
+
+    Where the change explains most, the noise was found beside it and holds a part of it: what differs from run to run
+    says as well how sure the number is.
+    """
     was, prior = _prior(work, [1.0] * len(loose)), _prior(work, loose)
-    moved = np.abs(prior.sums @ (_values(work.readings, by, columns, prior) - prior.centre))
+    values = _values(work.readings, by, columns, prior)
+    moved = np.abs(prior.sums @ (values - prior.centre))
     variances = np.diag(prior.sums @ covariance(by, columns, prior.plain_rows) @ prior.sums.T)
     white = by(columns)
     share = prior.sums @ inverse(np.concatenate([white, prior.plain_rows])) @ white.T
     parts = [np.sum(share[:, work.readings.fold == f] ** 2, axis=1) for f in np.unique(work.readings.fold)]
     errors = np.sqrt(np.maximum(variances, 0.0)) * widening(telling(np.stack(parts)), FAR)
+    setup, held, left = by(work.readings.setup), *(by(work.readings.values - columns @ v) for v in (was.centre, values))
+    held = held - setup @ solve(setup, held)
+    runs = np.unique(work.readings.run)
+    if len(runs) >= ENOUGH_RUNS and left @ left < MOST * (held @ held):
+        of = [work.readings.run == r for r in runs]
+        pulls = np.stack([share[:, mine] @ left[mine] for mine in of])
+        by_run = np.sqrt((pulls**2).sum(axis=0) * len(runs) / (len(runs) - 1))
+        parts = [np.sum(share[:, mine] ** 2, axis=1) for mine in of]
+        errors = np.minimum(errors, by_run * widening(telling(np.stack(parts)), FAR))
     return any(moved[k] > FAR * math.hypot(was.spread[k], errors[k]) for k in _places(work, [changed]))
 
 

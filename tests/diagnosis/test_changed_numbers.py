@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rtec
 from rtec.cli.main import status
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
@@ -18,6 +19,7 @@ from rtec.estimation.readings import read
 from rtec.metrology.files.load import save_measurement
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
+from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
 from tests.support.diagnosis_examples import effects, laser, small_machine, write_laser, write_machine
 
@@ -154,3 +156,28 @@ def test_an_instrument_that_warms_up_hides_no_reversal() -> None:
     assert done.model.effects[1].values["B"] == pytest.approx(6.0, abs=0.3)
     assert done.model.effects[0].values["k"] == pytest.approx(8.0, abs=1.0)
     assert done.model.effects[2].values["k"] == pytest.approx(6.0, abs=1.0)
+
+
+def test_a_scale_that_changed_alike_in_every_circle_has_changed() -> None:
+    """The drift that the residual seems to have before it is known hid it. Oracle: what was put in; a bar of unknown
+    length reads the difference of both scales."""
+    mill = rtec.load_machine(Path(__file__).parents[2] / "configs" / "machines" / "vertical-mill.toml")
+    texts = (
+        "squareness,component=EC0Y,alpha=-12",
+        "backlash,component=EXX,axis=X,B=2",
+        "backlash,component=EYY,axis=Y,B=3",
+    )
+    was, now = "scale,component=EXX,axis=X,k=10", "scale,component=EXX,axis=X,k=24"
+    numbers = [effect_from_text(t, mill) for t in (*texts, was)]
+    errors = (0.4, 0.05, 0.05, 0.65)
+    fitted = [replace(f, errors=dict.fromkeys(f.values, e)) for f, e in zip(numbers, errors, strict=True)]
+    circle = {"plane": "XY", "centre_mm": [250.0, 200.0, 200.0], "radius_mm": 150.0, "feed_mm_min": 1000.0}
+    drift = {"noise": {"white_um": 0.3, "drift_um": 0.3, "drift_tau_s": 1800.0}, "cycles": 4}
+    day = []
+    for seed, way in enumerate(("cw", "ccw")):
+        truth, there = (*texts, now, "scale,component=EYY,axis=Y,k=-6"), circle | {"direction": way}
+        made = rtec.simulate(mill, "ball_bar", setup=there, effects=truth, seed=seed, changes=drift)
+        day.append(replace(made.measurement, name=way))
+    (one,) = changed_numbers(Model(mill, tuple(fitted), name="mill"), clean(day).readings)[0]
+    assert one.effect == "scale(EXX, X)"
+    assert 8.0 < one.now - one.was < 22.0
