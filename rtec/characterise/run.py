@@ -189,7 +189,7 @@ def _fit(
 
 
 def _check_waves(fit: Estimate) -> None:
-    """Raise ModelError where the readings show a wave at too few of its phases; only one that was asked for can be there."""
+    """Raise ModelError where the readings show a wave that was asked for at too few of its phases."""
     loose = [i for i in fit.undetermined if isinstance(fit.terms[i].effect, WAVES)]
     if loose:
         raise ModelError(
