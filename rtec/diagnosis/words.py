@@ -160,7 +160,9 @@ def _warmer(scale: str, w: Warmer) -> str:
 def with_changes_beside(d: Diagnosis, changed: Sequence[ChangedNumber]) -> Diagnosis:
     """The diagnosis with numbers of the model that have changed, as only what is named beside them shows."""
     parts = ", ".join(map(_moved, changed[:MOST_CHANGED]))
-    return replace(d, sentence=f"{sentence(d.sentence)} Beside it the model's numbers have changed: {parts}.")
+    return replace(
+        d, sentence=f"{sentence(d.sentence)} Beside what is named, numbers of the model have changed: {parts}."
+    )
 
 
 def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, held_out: float) -> Diagnosis:

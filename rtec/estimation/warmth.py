@@ -19,8 +19,8 @@ from rtec.model import Model
 
 WARMER_K = 1.0
 MISREADS_K, APART = (1.0, 20.0), 0.5
-"""What a sensor may read too high or too low; and the share of the change of its distance from all others, since the
-fit, that must remain unexplained at most."""
+"""What a sensor may read too high or too low. Since the fit it has moved away from the other sensors; what it reads too
+high explains that but for this share."""
 EXPANDS, SURE = 25.0, 2.0
 """Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
 
@@ -154,12 +154,9 @@ def misread(model: Model, readings: Readings, effect: Effect, change: float) -> 
     if not isinstance(effect, Scale) or not _of_a_length(effect):
         return None
     then, now = ({n: sum(v) / 2.0 for n, v in r.items()} for r in (of_the_fit(model), _recorded(readings.measurements)))
-    known = then.keys() & now.keys()
+    known, mine = then.keys() & now.keys(), (effect.component, effect.axis)
     for f in model.effects:
-        if not isinstance(f.effect, AxisExpansion) or (f.effect.component, f.effect.axis) != (
-            effect.component,
-            effect.axis,
-        ):
+        if not isinstance(f.effect, AxisExpansion) or (f.effect.component, f.effect.axis) != mine:
             continue
         name, k = f.effect.sensor, f.values["k"]
         others = [now[n] - then[n] for n in known if n != name]

@@ -122,7 +122,7 @@ def test_a_scale_that_was_replaced_on_a_colder_day_is_no_expansion(seed: int) ->
 
 @pytest.mark.parametrize("off_k", [-2.5, 3.0])
 def test_a_sensor_that_reads_too_high_is_said_beside_the_scale_that_seems_to_have_changed(off_k: float) -> None:
-    """Oracle: what was added to one column; the machine is as before, and where no sensor is off nothing is said."""
+    """Oracle: what was added to one column of a machine that has not changed. A worn scale blames no sensor."""
     start = Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN), name="mill")
     model, today = add(start, [], [day(1, 21.0)]).model, day(2, 21.0)
     off = replace(today, channels={**today.channels, "T_x_nut": today.channels["T_x_nut"] + off_k})

@@ -124,6 +124,8 @@ class Edits:
         machine = model.machine
         self.read = {c for f in model.effects for c in f.effect.channels(machine)}
         self.parts = [self._part(f, readings) for f in model.effects] if parts is None else parts
+        # Of effects of the model: where the lever arm is not zero, and the contribution over it, (m,) each.
+        self._by_arm: dict[int, tuple[NDArray[np.bool_], Floats]] = {}
 
     def _only(self, keep: NDArray[np.bool_]) -> "Edits":
         """The same with some of the readings, (m,)."""
@@ -132,11 +134,6 @@ class Edits:
         there = np.array([keep[s.part].any() for s in self.readings.series])
         parts = [p[keep] for p in self.parts]
         return Edits(self.model, self.readings.without(~keep), self.scale[there], parts)
-
-    @cached_property
-    def _by_arm(self) -> dict[int, tuple[NDArray[np.bool_], Floats]]:
-        """Of effects of the model: where the lever arm is not zero, and the contribution over it, (m,) each."""
-        return {}
 
     @cached_property
     def _thin(self) -> "Edits":

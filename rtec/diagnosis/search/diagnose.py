@@ -362,8 +362,8 @@ class Search:
         """The same; of one shape and as many numbers a shift that the readings show first, no angle of the same axis.
 
         With one arm alone nothing separates an angle from a shift. Elsewhere on the machine the angle moves the tool as
-        well, in two directions that nobody measured. So a shift by one temperature is before an angle by two, too: any
-        two make many a curve.
+        well, in two directions that nobody measured. So a shift by one temperature is before an angle by two, too: the
+        difference of two temperatures follows many curves.
         """
         shown = self._shown
         turns = bool(refitted) and component_unit(self._component(refitted[0])) == "urad"
