@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import ALONE, Doubt
 from rtec.effects import Effect
+from rtec.effects.base import component_kind
 from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
@@ -48,13 +49,15 @@ MUCH_WARMER = 5.0
 def substitute_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> Doubt | None:
     """Doubt where a sensor represents a body without a sensor; None where the body has one, or the effect has none.
 
+    A guideway that bends has no place of its own for a sensor.
+
     Args:
         readings: the readings.
         effect: the named one.
         known: effects of the model: a sensor by which it has the same effect is on the body.
     """
     sensor = getattr(effect, "sensor", None)
-    if sensor is None or effect.effect not in BODIES:
+    if sensor is None or effect.effect not in BODIES or component_kind(effect.component, readings.machine) == "tilt":
         return None
     words, where = BODIES[effect.effect]
     axis = str(getattr(effect, "axis", ""))

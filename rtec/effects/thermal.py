@@ -66,7 +66,10 @@ class OneSensor(Effect):
 
 
 class AxisExpansion(OneSensor, AxisEffect):
-    """Expansion of a screw or scale: `e = k (q - q_fix) ΔT`."""
+    """Expansion of a screw or scale: `e = k (q - q_fix) ΔT`; of an angle a guideway that bends as it warms up.
+
+    A guideway of two materials, or bolted to another, bends by its own temperature: its slide tilts along the travel.
+    """
 
     about: ClassVar[About] = About(
         title="Expansion of screw or scale",
@@ -88,7 +91,7 @@ class AxisExpansion(OneSensor, AxisEffect):
         ),
         reveal="laser repeated during a warm-up; for screw or scale once jogging, once at rest while the room swings",
     )
-    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "tilt")
     driven_by: ClassVar[tuple[str, ...]] = ("position", "temperature")
     effect: Literal["axis_expansion"] = "axis_expansion"
     fixed_mm: Millimetres = 0.0
@@ -101,6 +104,16 @@ class AxisExpansion(OneSensor, AxisEffect):
         """`k`, per metre and kelvin."""
         del machine
         return (Parameter("k", f"{self.unit}_per_m_degc", typical=10.0),)
+
+    @classmethod
+    def suggest(cls, around: Surroundings) -> Iterator[Effect]:
+        """Of an angle only as read, from zero, where the readings separate it from the expansion itself."""
+        if component_kind(around.component, around.machine) == "positioning":
+            yield from super().suggest(around)
+        elif not around.behind_arm:
+            for effect in super().suggest(around):
+                if isinstance(effect, cls) and effect.fixed_mm == 0.0 and not effect.lag:
+                    yield effect
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:

@@ -15,7 +15,14 @@ from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.effects.thermal import BedBending, ColumnTilt
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
-from rtec.estimation.visible import VisibleComponent, axis_of, moves, visible_components, within_record
+from rtec.estimation.visible import (
+    VisibleComponent,
+    axis_of,
+    moves,
+    read_directly,
+    visible_components,
+    within_record,
+)
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 from rtec.model import FittedEffect
@@ -265,6 +272,16 @@ def _shape(readings: Readings, component: str) -> Floats:
     return arms / length if length > 0.0 else arms
 
 
+def behind_arm(readings: Readings, component: str) -> bool:
+    """Whether a component is an angle that is read only at one lever arm, as a shift along the same axis."""
+    shown = read_directly(readings.measurements)
+    direct = [readings.arms(c) for c in shown if c[2:] == component[2:]]
+    if component in shown or not direct or component_unit(component) != "urad":
+        return False
+    arms = readings.arms(component)[np.any(direct, axis=0)]
+    return bool(arms.size) and float(np.ptp(arms)) < ONE_ARM * float(np.abs(arms).max())
+
+
 def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
     """Channels and ranges that an effect can use, from the readings that see a component."""
     machine = readings.machine
@@ -286,6 +303,7 @@ def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
         span_s=max((float(t[-1] - t[0]) for t in times), default=0.0),
         step_s=min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=1.0),
         places_mm={a.channel: np.concatenate([s.value(a.channel) for _, s in sources]) for a in machine.axes},
+        behind_arm=behind_arm(readings, seen.name),
     )
 
 

@@ -6,12 +6,13 @@ Oracle: the lever arm of each beam, which is its height above the axis.
 import numpy as np
 import pytest
 
-from rtec.diagnosis.search.diagnose import Search
+from rtec.diagnosis.search.diagnose import Search, diagnose
 from rtec.diagnosis.search.refit import Refitted
 from rtec.effects.reversal import AngularReversal, Backlash
+from rtec.estimation.candidates import behind_arm, library
 from rtec.estimation.outliers import clean
 from rtec.model import Model
-from tests.support.diagnosis_examples import laser, small_machine
+from tests.support.diagnosis_examples import effects, laser, small_machine
 
 TRUE = ("scale,component=EXX,axis=X,k=8",)
 
@@ -23,8 +24,31 @@ def test_beams_at_one_height_show_no_angle(heights_mm: tuple[float, ...], behind
     search = Search(model, clean(beams).without_ends(), 1, 0.05, 50, None, False, lambda *_: None)
     turns = AngularReversal(component="EBX", axis="X")
     plays = Backlash(component="EXX", axis="X")
-    assert search._behind_arm(turns) is behind
-    assert not search._behind_arm(plays)
+    assert behind_arm(search.readings, turns.component) is behind
+    assert not behind_arm(search.readings, plays.component)
+
+
+WARM = "axis_expansion,component=EBX,axis=X,sensor=T_bed,k={k}"
+
+
+@pytest.mark.parametrize(("heights_mm", "k"), [((-60.0, 140.0), 20.0), ((0.0, 100.0), -35.0)])
+def test_a_guideway_that_bends_as_it_warms_up_is_named(heights_mm: tuple[float, ...], k: float) -> None:
+    """Two beams, each at a height of its own. Oracle: the number that was simulated, µrad/(m·K)."""
+    truth = (*TRUE, WARM.format(k=k))
+    beams = [laser(truth, 5 + i, setup={"beam_offset_mm": [0.0, 0.0, h]}) for i, h in enumerate(heights_mm)]
+    found = diagnose(Model(small_machine(), effects(*TRUE), name="empty"), beams, explain=True)
+    assert found.verdict == "missing_effect"
+    assert (found.findings[0].effect.effect, found.findings[0].effect.component) == ("axis_expansion", "EBX")
+    number = found.findings[0].parameters["k"]
+    assert number.value == pytest.approx(k, abs=4.0 * (number.se or 0.0))
+
+
+def test_one_beam_does_not_show_a_guideway_that_bends() -> None:
+    """One beam reads it as an expansion of the screw: the same column, and the screw is there on every machine."""
+    for heights_mm, offered in (((100.0,), False), ((100.0, 0.0), True)):
+        beams = [laser(TRUE, 1 + i, setup={"beam_offset_mm": [0.0, 0.0, h]}) for i, h in enumerate(heights_mm)]
+        bends = [c.effect for c in library(clean(beams).readings)[0] if c.effect.label.startswith("axis_expansion(EBX")]
+        assert bool(bends) is offered
 
 
 @pytest.mark.parametrize(("less", "first"), [(1.0, "mount_expansion"), (4.0, "column_tilt")])
