@@ -43,6 +43,16 @@ DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2, "bed_bending": 2}
 """Power of the position in an effect of temperature; 0 for the others."""
 
 
+EVERY_MACHINE = ("scale", "squareness", "backlash")
+"""Errors that every machine has; a backlash along its own axis."""
+
+
+def every_machine_has(effect: Effect) -> bool:
+    """Whether every machine has an effect: of backlashes one along the axis itself."""
+    along = effect.component[1] == effect.component[2]
+    return effect.effect in EVERY_MACHINE and (effect.effect != "backlash" or along)
+
+
 Drive = tuple[str, ...]
 
 

@@ -14,7 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.candidates import BEND, Drive, TermCandidate, at_constant_temperature, drive
+from rtec.characterise.candidates import (
+    BEND,
+    EVERY_MACHINE,
+    Drive,
+    TermCandidate,
+    at_constant_temperature,
+    drive,
+    every_machine_has,
+)
 from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
 from rtec.estimation.gram.normal import NOTHING, Normal, ridged, solve, squares_left
@@ -28,8 +36,6 @@ NEAR = 0.02
 SAME = 0.1
 """Predictions count as equal if they differ by less than this share of the residual."""
 TRIED = 80
-EVERY_MACHINE = ("scale", "squareness", "backlash")
-"""Errors that every machine has."""
 
 
 def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedTerm]:
@@ -93,7 +99,8 @@ MOST_FEATURES = 4
 """Largest number of temperatures, differences and speeds for one component error; one or two is usual [G 3.6]."""
 BLOCKS_EACH = 2
 """Held-out blocks for each of them at least: each must vary more than once."""
-PLAIN = (*EVERY_MACHINE, "servo_lag", "inertia")
+SERVOS = ("servo_lag", "inertia")
+PLAIN = (*EVERY_MACHINE, *SERVOS)
 """With effects that every machine has to some degree: they may be confounded with chosen ones even if not chosen."""
 TWIST = 1
 """Degree of a rotation that grows along the axis; every machine has it to some degree, and bends, too."""
@@ -232,7 +239,7 @@ class HeldOutTable:
     def of_every_machine(self) -> list[int]:
         """Usable candidates of what every machine has, in components that the readings show directly."""
         all_of_them = enumerate(self.candidates)
-        return [i for i, c in all_of_them if c.effect in EVERY_MACHINE and c.direct and self.usable[i]]
+        return [i for i, c in all_of_them if every_machine_has(c.term.effect) and c.direct and self.usable[i]]
 
     def of_own_sensors(self) -> "HeldOutTable":
         """The same table, in which nothing grows along an axis by a sensor that is not the axis' own."""
@@ -396,6 +403,41 @@ def choose(
             chosen, steps = other, other_steps
     chosen = _by_own_sensors(table, chosen, forced)
     chosen = _by_every_machine(table, chosen, forced)
+    return _judged(table, chosen, steps)
+
+
+def completed(
+    normal: Normal, candidates: Sequence[TermCandidate], choice: TermChoice, single: Sequence[frozenset[Drive]] = ()
+) -> TermChoice:
+    """A choice by other readings, completed by these with what every machine has, and its servos.
+
+    Args:
+        normal: normal equations of all candidates, of these readings.
+        candidates: the candidates.
+        choice: the other choice; what not every machine has stays as it is there.
+        single: as of `choose`.
+    """
+    table = HeldOutTable(normal, candidates, single)
+    plain = np.array([every_machine_has(c.term.effect) or c.effect in SERVOS for c in candidates])
+    odd = [i for i in choice.chosen if not plain[i]]
+    among = copy.copy(table)
+    among.usable = table.usable & plain
+
+    def with_plain(kept: list[int]) -> tuple[list[int], list[ChoiceStep]]:
+        path, steps = _forward(among, kept, "what not every machine has", None)
+        return _settled(among, path, kept), steps
+
+    kept = independent(normal, [table.columns[i] for i in odd], odd)
+    chosen, steps = with_plain(kept)
+    for i in [i for i in kept if not candidates[i].feature]:
+        fewer = [k for k in kept if k != i]
+        other, there = with_plain(fewer)
+        if one_standard_error(table.errors(other), table.errors(chosen)):
+            kept, chosen, steps = fewer, other, there
+    return _judged(table, chosen, [*choice.steps, *steps])
+
+
+def _judged(table: HeldOutTable, chosen: list[int], steps: Sequence[ChoiceStep]) -> TermChoice:
     held_out = float(np.sqrt(table.held_out(chosen)))
     rivals, same = find_rivals(table, chosen), table.confounded(chosen)
     return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
@@ -444,7 +486,8 @@ def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
         return sum(table.candidates[i].away for i in c)
 
     def odd(c: list[int]) -> int:
-        return sum(table.candidates[i].effect not in EVERY_MACHINE and not table.candidates[i].feature for i in c)
+        of = [table.candidates[i] for i in c]
+        return sum(not every_machine_has(k.term.effect) and not k.feature for k in of)
 
     def followed(c: list[int]) -> int:
         return sum(bool(table.candidates[i].feature) for i in c)
@@ -472,15 +515,18 @@ def _of_own(table: HeldOutTable, rest: list[int], i: int) -> list[int]:
 
 
 def _by_every_machine(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
-    """The choice with an error that every machine has in the place of any other one that does no better."""
+    """The choice with an error that every machine has in the place of any other one that does no better.
+
+    One after the other until none is left: one shape may have stood for two of them.
+    """
     for i in chosen:
         near, one = [k for k in table.of_every_machine if k not in chosen], table.candidates[i]
-        if i in forced or one.feature or one.effect in EVERY_MACHINE or not near:
+        if i in forced or one.feature or every_machine_has(one.term.effect) or not near:
             continue
         rest = [j for j in chosen if j != i]
         errors = table.held_out_beside(rest, near)
         if errors.min() <= table.held_out(chosen) * (1 + SIMPLER):
-            chosen = [*rest, near[int(np.argmin(errors))]]
+            return _by_every_machine(table, [*rest, near[int(np.argmin(errors))]], forced)
     return chosen
 
 

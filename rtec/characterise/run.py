@@ -1,7 +1,7 @@
 """Characterises a machine: from measurements to a geometric-thermal model."""
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from rtec.characterise.assemble import assemble, model_of
 from rtec.characterise.candidates import (
+    EVERY_MACHINE,
     Drive,
     TermCandidate,
     at_constant_temperature,
     away_from,
     drive,
+    every_machine_has,
     is_at_constant,
 )
-from rtec.characterise.choose import TermChoice, choose
+from rtec.characterise.choose import TermChoice, choose, completed
 from rtec.characterise.grouping import apart, joined
 from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
@@ -49,6 +51,7 @@ from rtec.estimation.targets import WAVES, predicts_targets, targets_along
 from rtec.estimation.warmth import EXPANDS, SURE
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
+from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.model.fit import Margin
@@ -99,9 +102,12 @@ def characterise(
     """
     with one_blas_thread():
         given, doubt = _given(measurements, leave_out_h)
+        few = _too_few_circles(given, leave_out_h) if wanted is None else None
+        wanted = read_wanted(",".join(EVERY_MACHINE), given.readings.machine) if few else wanted
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
         made = assemble(fit, screened, choice, given, name, margin or Margin())
-        first = [doubt] if doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
+        first = [few] if few else []
+        first += [doubt] if doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
         first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
         return replace(made, warnings=(*first, *made.warnings))
 
@@ -135,6 +141,19 @@ def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tu
     return clean(rest, leave_out_h=leave_out_h).without_ends(), Warn(
         "contradiction", text, f"{found.check}; put right, fit again"
     )
+
+
+def _too_few_circles(given: Clean, leave_out_h: float | None) -> Warn | None:
+    """Where a ball bar went round too few times for a choice: every machine has what its circles show."""
+    measurements = given.readings.measurements
+    count = sum(len(b.fold) for b in cuts(measurements, leave_out_h))
+    if count >= FEW_BLOCKS or not all(isinstance(m.instrument, BallBar) for m in measurements):
+        return None
+    text = (
+        f"{count} circles are too few to choose among effects: scale errors, squareness and backlashes were fitted, "
+        "as every machine has them"
+    )
+    return Warn("too_few_runs", text, f"for a choice measure at least {FEW_BLOCKS} circles, or name what to fit")
 
 
 def _of_wrong_scale(model: Model, given: Clean, wanted: AskedEffects | None, leave_out_h: float | None) -> list[Warn]:
@@ -216,7 +235,7 @@ def _fit_to(
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
         chosen = _with_constant(screened, choice, rules)
-        chosen = joined([chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else [])
+        chosen = joined([chosen[i] for i in tellable(gather(scaled, chosen), chosen)] if chosen else [])
         fit = _significant(sources, fixed, chosen, wanted, screened.candidates, tell)
         further = _further_rules(given.readings, fit, len(fixed), named, rules)
         if further == rules:
@@ -355,15 +374,32 @@ def _predicts(readings: Readings, fit: Estimate, wave: Term) -> bool:
 def _chosen(
     scaled: Sequence[Source], wanted: AskedEffects | None, rules: _Rules, tell: Stage
 ) -> tuple[Screened, TermChoice]:
-    """Choose twice: the first choice, subtracted, uncovers smaller effects for the second one."""
+    """Choose twice: the first choice, subtracted, uncovers smaller effects for the second one.
+
+    A ball bar warms up in the hand, so each circle is a little larger than the one before. A yaw or a play across would
+    make up for that, so only what every machine has is chosen by the length of a bar.
+    """
     tell("looking for what goes with what", 0, 1)
     names = wanted.names if wanted else None
+    free = [_of_unknown_length(s) for s in scaled]
+    if wanted is None and any(f is not s for f, s in zip(free, scaled, strict=True)):
+        screened, choice = _chosen(free, wanted, rules, tell)
+        normal = gather(scaled, [c.term for c in screened.candidates], by_fold=True)
+        return replace(screened, sources=tuple(scaled)), completed(normal, screened.candidates, choice, rules.single)
     screened = _without(screen(scaled, names), rules)
     choice = _choose(screened, wanted, rules, tell)
     found = refined(screened.sources, [screened.candidates[i] for i in choice.chosen], screened.candidates)
     screened = _without(screen(scaled, names, [screened.candidates[i] for i in choice.chosen]), rules)
     screened = replace(screened, candidates=(*screened.candidates, *found))
     return screened, _choose(screened, wanted, rules, tell)
+
+
+def _of_unknown_length(source: Source) -> Source:
+    """A ball bar as if nobody knew its length; anything else as it is."""
+    bar, m = source.measurement.instrument, source.measurement
+    if not isinstance(bar, BallBar) or bar.setup.zero != "none":
+        return source
+    return replace(source, measurement=replace(m, instrument=bar.of_unknown_length()))
 
 
 def _without(screened: Screened, rules: _Rules) -> Screened:
@@ -423,9 +459,9 @@ def _significant(
 ) -> Estimate:
     """Fit, and drop chosen terms that are neither significant nor spared, the least significant one first.
 
-    Of a shape at constant temperature and several that change it with a temperature, all alike, none is significant;
-    the first goes after all of these but one. Degrees of a polynomial were chosen one by one, and are tested one by
-    one.
+    A squareness or a backlash goes last: beside another shape that acts alike neither is significant. Of a shape at
+    constant temperature and several that change it with a temperature, all alike, none is significant; the first goes
+    after all of these but one. Degrees of a polynomial were chosen one by one, and are tested one by one.
     """
     named, offered = _is_named(wanted), sum(c.offered for c in candidates)
     while chosen or fixed:
@@ -444,7 +480,10 @@ def _significant(
         if not idle:
             return fit
         thermal = [t.effect for _, _, t, _ in idle if _sensed(t)]
-        later = [sum(is_at_constant(t.effect, changed) for changed in thermal) > 1 for _, _, t, _ in idle]
+        later = [
+            (sum(is_at_constant(t.effect, changed) for changed in thermal) > 1, _stays_longer(t.effect))
+            for _, _, t, _ in idle
+        ]
         _, (_, gone, _, rest) = min(zip(later, idle, strict=True), key=lambda one: (one[0], *one[1][:2]))
         chosen = [*chosen[:gone], *rest, *chosen[gone + 1 :]]
     blocks = sum(len(s.blocks.fold) for s in sources)
@@ -464,6 +503,11 @@ def _significant(
     raise ModelError(f"fit: no effect lowers the error on held-out runs significantly: {why}; {way}{more}")
 
 
+def _stays_longer(effect: Effect) -> bool:
+    """Whether every machine has an effect on every day; a scale error may be the warmth of one."""
+    return every_machine_has(effect) and effect.effect != "scale"
+
+
 USUAL: Mapping[Kind, str] = {
     "positioning": "scale",
     "straightness": "straightness",
@@ -475,24 +519,30 @@ USUAL: Mapping[Kind, str] = {
 
 
 def _first_model(sources: Sequence[Source], candidates: Sequence[TermCandidate]) -> str:
-    """Geometry that can be fitted without a choice, as `--effects` takes it; empty where these readings show none."""
+    """Geometry that can be fitted without a choice, as `--effects` takes it; empty where these readings show none.
+
+    Where not all of it can be fitted (a ball bar on one plane): scales, squareness and backlashes.
+    """
     machine = sources[0].measurement.machine
     own = [(c.effect, c.component) for c in candidates if c.offered and c.direct]
-    names = []
-    for component in dict.fromkeys(component for _, component in own):
-        kind = component_kind(component, machine)
-        if kind in USUAL:
-            names.append(f"{USUAL[kind]}:{component}")
-        if kind == "positioning" and ("backlash", component) in own:
-            names.append(f"backlash:{component}")
-    if not names:
-        return ""
-    try:
-        exact = read_wanted(",".join(names), machine).exact
-        _fitted(sources, starting_terms(exact, [thinned(s, SEARCHED) for s in sources]), lambda _what, _done, _of: None)
-    except ModelError:
-        return ""
-    return ",".join(names)
+    kinds = {component: component_kind(component, machine) for _, component in own}
+    # Two axes are square to each other or not: of their two angles in one plane the readings show the difference.
+    angles = {c[:3]: c for c, kind in reversed(kinds.items()) if kind == "axis_angle"}
+    kinds = {c: kind for c, kind in kinds.items() if angles.get(c[:3], c) == c}
+
+    def named(of: Collection[Kind]) -> list[str]:
+        usual = {f"{USUAL[kind]}:{c}" for c, kind in kinds.items() if kind in of}
+        plays = {f"backlash:{c}" for c, kind in kinds.items() if kind == "positioning" and ("backlash", c) in own}
+        return sorted(usual | plays, key=lambda name: (list(kinds).index(name.partition(":")[2]), name in plays))
+
+    few = [thinned(s, SEARCHED) for s in sources]
+    for text in map(",".join, filter(None, (named(USUAL), named(("positioning", "axis_angle"))))):
+        try:
+            _fitted(sources, starting_terms(read_wanted(text, machine).exact, few), lambda *_: None)
+        except ModelError:
+            continue
+        return text
+    return ""
 
 
 def _form(term: Term) -> tuple[str, str]:

@@ -8,10 +8,11 @@ tests: with single blocks held out, and with the longer parts held out on which 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.choose import EVERY_MACHINE
+from rtec.characterise.candidates import EVERY_MACHINE, every_machine_has
 from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.normal import Normal
+from rtec.metrology.instruments.ball_bar import BallBar
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -35,7 +36,7 @@ def surety(fit: Estimate, candidates: int) -> Floats:
     """
 
     # What every machine has is one of few candidates. But a scale error may be the warmth of the day, where no
-    # expansion beside it is significant.
+    # expansion beside it is significant; a ball bar shows the difference of two, which are as warm.
     def among(count: int) -> Floats:
         ways = [fit.linear, fit.linear.by_part]
         return np.asarray(np.min([_distances(way, fit) / far_for_chance(count, len(way.gram)) for way in ways], axis=0))
@@ -46,8 +47,9 @@ def surety(fit: Estimate, candidates: int) -> Floats:
         for i, t in enumerate(fit.terms)
         if isinstance(t.effect, AxisExpansion) and of_all[owner == i].max() >= 1.0
     }
+    bars = all(isinstance(s.measurement.instrument, BallBar) for s in fit.sources)
     effects = [t.effect for t in fit.terms]
-    plain = [e.effect in EVERY_MACHINE and (e.effect != "scale" or e.component in grows) for e in effects]
+    plain = [every_machine_has(e) and (e.effect != "scale" or bars or e.component in grows) for e in effects]
     return np.where(np.array(plain, dtype=np.bool_)[owner], of_few, of_all)
 
 

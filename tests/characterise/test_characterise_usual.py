@@ -1,5 +1,7 @@
 """A free choice that takes what every machine has, and its axes' own sensors. Oracle: what made the readings."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +10,8 @@ from numpy.typing import NDArray
 
 import rtec
 from rtec.characterise import characterise
+from rtec.effects.effect_list import read_wanted
+from rtec.errors import ModelError
 from rtec.metrology.measurement import Measurement
 from tests.support import proof
 from tests.support.sim_example import CONFIGS, MACHINE_FILE
@@ -63,7 +67,7 @@ MADE = (
 )
 
 
-def circle(direction: str, seed: int) -> Measurement:
+def circle(direction: str, seed: int, effects: Sequence[str] = MADE) -> Measurement:
     """A bar's circle on a mill, of known length."""
     setup = {
         "plane": "XY",
@@ -74,7 +78,7 @@ def circle(direction: str, seed: int) -> Measurement:
     }
     noise = {"white_um": 0.15, "drift_um": 0.1, "drift_tau_s": 300.0}
     mill = CONFIGS / "machines" / "vertical-mill.toml"
-    made = rtec.simulate(mill, "ball_bar", setup=setup, effects=MADE, changes={"noise": noise}, seed=seed)
+    made = rtec.simulate(mill, "ball_bar", setup=setup, effects=effects, changes={"noise": noise}, seed=seed)
     return replace(made.measurement, name=direction)
 
 
@@ -87,3 +91,78 @@ def test_a_bar_s_circles_show_scales_and_squareness_and_no_guide_that_bends(seed
     assert found["scale(EXX, X)"] == pytest.approx(12.0, abs=1.5)
     assert found["scale(EYY, Y)"] == pytest.approx(-8.0, abs=1.5)
     assert "polynomial_position(ECX, X)" not in found
+
+
+def short_circle(
+    direction: str, seed: int, effects: Sequence[str], radius_mm: float, noise_um: float, drift_um: float
+) -> Measurement:
+    """Two turns with a reading every three degrees, as a bar that is read by hand or by its own program gives."""
+    setup = {
+        "plane": "XY",
+        "centre_mm": [250.0, 200.0, 200.0],
+        "radius_mm": radius_mm,
+        "direction": direction,
+        "feed_mm_min": 1000.0,
+    }
+    changes = {"cycles": 2, "noise": {"white_um": noise_um, "drift_um": drift_um, "drift_tau_s": 300.0}}
+    mill = CONFIGS / "machines" / "vertical-mill.toml"
+    m = rtec.simulate(mill, "ball_bar", setup=setup, effects=effects, changes=changes, seed=seed).measurement
+    kept = np.arange(0, len(m), 12)
+    return replace(
+        m,
+        name=direction,
+        time_s=m.time_s[kept],
+        run=m.run[kept],
+        channels={name: v[kept] for name, v in m.channels.items()},
+        readings={name: v[kept] for name, v in m.readings.items()},
+    )
+
+
+PLAIN = (
+    "scale,component=EXX,axis=X,k=12",
+    "scale,component=EYY,axis=Y,k=-6",
+    "squareness,component=EC0Y,alpha=12",
+    "backlash,component=EXX,axis=X,B=2",
+    "backlash,component=EYY,axis=Y,B=3",
+)
+USUAL = {"scale(EXX, X)", "scale(EYY, Y)", "squareness(EC0Y)", "backlash(EXX, X)", "backlash(EYY, Y)"}
+
+
+@pytest.mark.parametrize("seed", proof.few([13, 3, 23, 33], 2))
+def test_a_bar_that_grows_by_a_tenth_of_a_micrometre_shows_no_yaw_and_no_play_across(seed: int) -> None:
+    """The second circle is larger than the first; a yaw and a play across had made up for that, without squareness."""
+    bars = [short_circle(d, seed + i, PLAIN, 100.0, 0.15, 0.1) for i, d in enumerate(("ccw", "cw"))]
+    model = characterise(bars).model
+    assert {f.label for f in model.effects} == USUAL
+    values = {f.label: next(iter(f.values.values())) for f in model.effects}
+    assert values["squareness(EC0Y)"] == pytest.approx(12.0, abs=0.7)
+    assert values["backlash(EXX, X)"] == pytest.approx(2.0, abs=0.2)
+    assert values["backlash(EYY, Y)"] == pytest.approx(3.0, abs=0.2)
+
+
+SMALL = ("scale,component=EXX,axis=X,k=6", "squareness,component=EC0Y,alpha=5")
+
+
+def test_a_bar_too_noisy_for_a_choice_is_told_what_to_fit_without_one() -> None:
+    """Oracle: what the message names can be fitted; the bar's growth by 0.6 µm is 6 µm/m of its length."""
+    bars = [short_circle(d, 13 + i, SMALL, 100.0, 0.3, 0.6) for i, d in enumerate(("ccw", "cw"))]
+    with pytest.raises(ModelError) as refused:
+        characterise(bars)
+    typed = re.search(r"add --effects (\S+), fitted without a choice", str(refused.value))
+    assert typed is not None
+    fitted = {f.label: f for f in characterise(bars, wanted=read_wanted(typed[1], bars[0].machine)).model.effects}
+    assert set(fitted) == USUAL
+    assert fitted["squareness(EC0Y)"].values["alpha"] == pytest.approx(5.0, abs=2.0)
+    assert fitted["scale(EXX, X)"].values["k"] == pytest.approx(6.0, abs=6.0)
+
+
+def test_two_turns_each_way_are_too_few_for_a_choice_and_show_what_every_machine_has() -> None:
+    """Ten minutes between the turns. A choice had found two backlashes, and left three times the noise."""
+    bars = []
+    for i, direction in enumerate(("ccw", "cw")):
+        m = short_circle(direction, 3 + i, PLAIN, 100.0, 0.3, 0.3)
+        bars.append(replace(m, time_s=m.time_s + 600.0 * (m.run - m.run[0])))
+    found = characterise(bars)
+    assert {f.label for f in found.model.effects} == USUAL
+    assert found.warnings[0].code == "too_few_runs"
+    assert found.warnings[0].text.startswith("4 circles are too few")

@@ -12,7 +12,7 @@ The first term is the linear functional: its arms are `u · J(pose)`, and it giv
 the other ball changes no distance, so that the side of the chain on which a rotation occurs does not matter.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -119,6 +119,10 @@ class BallBar(Instrument):
     def columns(self) -> tuple[str, ...]:
         """One reading."""
         return ("reading_um",)
+
+    def of_unknown_length(self) -> "BallBar":
+        """The same bar as if nobody knew its length in any run."""
+        return replace(self, setup=self.setup.model_copy(update={"zero": "run"}))
 
     def length_fault(self, reading_um: Floats) -> str:
         """Why readings are no deviations but lengths of the bar, with what to do; empty where they may be."""
