@@ -603,6 +603,8 @@ def _argument(key: str, value: object) -> str:
     if isinstance(value, bool) or value is None:
         return word if value else f"no {word}"
     if isinstance(value, list):
+        if key == "degrees":
+            return f"{'degree' if len(value) == 1 else 'degrees'} {' and '.join(map(str, value))}"
         return f"{len(value)} {word.removesuffix(' mm')}"
     return f"{word} {value:g}" if isinstance(value, float) else f"{word} {value}"
 

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 HALF = 0.5
 """A number has changed if at least this share of what a refit found remains beside the effects that were added."""
+MOST_RIVALS = 3
+"""Effects in the text on a step that cannot be distinguished from the added one."""
 WHY_ENDED = {
     "nothing_missing": "no effect is missing that these readings could show",
     "undecided": "these readings do not decide what is missing",
@@ -189,9 +191,15 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         lead,
         [],
         [*history, *steps, *tail],
-        brief=Section("", [], history[0].table if history else None),
+        brief=Section("", _not_distinguished(r), history[0].table if history else None),
         next=_next(r),
     )
+
+
+def _not_distinguished(r: Improved) -> list[str]:
+    """What each step passed over."""
+    now = steps_of(r.model)[-len(r.steps) :] if r.steps else []
+    return [_passed_over(s) for s in now if s["passed_over"]]
 
 
 def _next(r: Improved) -> list[str]:
@@ -294,7 +302,9 @@ def _moved(steps: Sequence[Mapping[str, Any]], i: int) -> str:
 
 
 def _passed_over(s: Mapping[str, Any]) -> str:
-    names = ", ".join(str(r.get("effect", "?")) for r in s["passed_over"])
+    rivals = [str(r.get("effect", "?")) for r in s["passed_over"]]
+    more = [f"{len(rivals) - MOST_RIVALS} more"] if len(rivals) > MOST_RIVALS + 1 else []
+    names = ", ".join([*rivals[: MOST_RIVALS if more else None], *more])
     tests = dict.fromkeys(str(r["separating_test"]) for r in s["passed_over"] if r.get("separating_test"))
     way = f" To separate them: {'; '.join(list(tests)[:2])}." if tests else ""
     return f"{s['name']}: cannot be distinguished from {names} by these data.{way}"

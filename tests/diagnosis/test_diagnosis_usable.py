@@ -200,6 +200,9 @@ def test_what_was_passed_over_is_told() -> None:
     told = first.model.history[-1]["passed_over"]
     assert [r["effect"] for r in told] == rivals
     assert any(r.get("separating_test") for r in told)
+    brief = improved_page(result, figures=False).brief
+    assert brief is not None
+    assert all(any(r in line for line in brief.text) for r in rivals[:3])
 
 
 def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
