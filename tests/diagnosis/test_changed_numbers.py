@@ -109,7 +109,7 @@ def test_of_one_temperature_the_scale_has_changed_and_not_the_expansion(seed: in
     assert changed[0].now == pytest.approx(40.0, abs=2.0)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", proof.few([1, 2], 1))
 def test_what_changed_is_refitted_where_the_runs_differ_too(
     seed: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,7 @@ from rtec.report.history import history_page, improved_page, stairs
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build, model_error, oracle_cut
 from tests.discovery.translate import base_model, measurement_of, said_by
+from tests.support import proof
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 
 Floats = NDArray[np.float64]
@@ -320,7 +321,7 @@ def test_an_effect_is_added_though_a_jump_misleads_the_numbers_of_the_model() ->
     assert done.steps[0].model.effects[: len(known.effects)] == known.effects
 
 
-@pytest.mark.parametrize(("seed", "effect"), [(86035, "polynomial_position"), (86050, "backlash_load")])
+@pytest.mark.parametrize(("seed", "effect"), proof.few([(86035, "polynomial_position"), (86050, "backlash_load")], 1))
 def test_numbers_that_a_drift_hides_are_refitted_with_what_is_new(seed: int, effect: str) -> None:
     """A laser's zero wanders by more than the effect, and the model's own numbers are out of date.
 

@@ -6,6 +6,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.improve import improve
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from tests.support import proof
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 SCALE = "scale,component=EXX,axis=X,k=60"
@@ -19,7 +20,7 @@ def day(end_mm: float, seed: int, on_degc: float) -> Measurement:
     return laser([SCALE, screw], seed, thermal=heat, noise={"white_um": NOISE_UM})
 
 
-@pytest.mark.parametrize(("end_mm", "seed"), [(180.0, 3), (185.0, 2), (185.0, 3), (215.0, 3)])
+@pytest.mark.parametrize(("end_mm", "seed"), proof.few([(180.0, 3), (215.0, 3), (185.0, 2), (185.0, 3)], 2))
 def test_it_is_where_a_shift_by_the_same_temperature_says(end_mm: float, seed: int) -> None:
     done = improve(Model(small_machine(), effects(SCALE), name="scale"), [day(end_mm, seed, 6.0)], draws=50)
     found = {f.effect.effect: f for f in done.model.effects}

@@ -19,6 +19,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.history import improved_page
+from tests.support import proof
 from tests.support.machines import axis
 from tests.support.warming import delayed
 
@@ -97,8 +98,10 @@ def start(fitted: bool) -> Model:
     return fitted_model([day(nothing, 9, 1.0)], wanted=read_wanted("scale,backlash", MACHINE))
 
 
-@pytest.mark.parametrize("fitted", [False, True], ids=["empty", "fitted"])
-@pytest.mark.parametrize(("law", "most"), [(half_warm, 0.35), (worn, 0.3)])
+@pytest.mark.parametrize(
+    ("law", "most", "fitted"),
+    proof.few([(half_warm, 0.35, True), (worn, 0.3, False), (half_warm, 0.35, False), (worn, 0.3, True)], 2),
+)
 def test_the_nearest_is_added_where_it_removes_most(law: object, most: float, fitted: bool) -> None:
     done = improve(start(fitted), [day(law, 1, 1.0)], draws=50)
     assert done.diagnoses[0].verdict == "unknown_effect"

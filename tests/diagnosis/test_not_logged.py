@@ -15,15 +15,17 @@ MACHINE = Path(__file__).parents[2] / "configs" / "machines" / "vertical-mill.to
 TRUTH = ("axis_expansion,component=EXX,axis=X,sensor=T_x_nut,k=12", "backlash,component=EXX,axis=X,B=6")
 CIRCLE = {"plane": "XY", "centre_mm": [250.0, 200.0, 200.0], "radius_mm": 150.0, "direction": "ccw"}
 
+FEW = {"cycles": 2, "targets": {"step_mm": 23.0}, "path": {"step_deg": 2.0}}
+
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A laser with temperatures, a circle without, one with a constant temperature, and a model of the scale."""
     folder = tmp_path_factory.mktemp("files")
     machine = rtec.load_machine(MACHINE)
-    rtec.simulate(machine, "laser_linear", axis="X", effects=TRUTH, seed=1, out=folder / "laser")
+    rtec.simulate(machine, "laser_linear", axis="X", effects=TRUTH, seed=1, changes=FEW, out=folder / "laser")
     circle = CIRCLE | {"feed_mm_min": 1000.0}
-    rtec.simulate(machine, "ball_bar", setup=circle, effects=TRUTH, seed=2, out=folder / "circle")
+    rtec.simulate(machine, "ball_bar", setup=circle, effects=TRUTH, seed=2, changes=FEW, out=folder / "circle")
     _without_temperatures(folder / "circle.csv")
     assert (
         status(["fit", str(MACHINE), str(folder / "laser.csv"), "--effects", "scale", "-o", str(folder / "m.toml")])

@@ -152,13 +152,16 @@ def times(m: Measurement, factor: float) -> Measurement:
 
 @pytest.mark.parametrize(
     ("factor", "times_", "said"),
-    [
-        (1.0 / 2.54, "2.54", "its readings may be in ten-thousandths of an inch."),
-        (0.1, "10", "its readings may be in hundredths of a mm."),
-        (-1.0 / 2.54, "-2.54", "its readings may be in ten-thousandths of an inch, with the other sign."),
-        (0.7, "1.4", "the unit or the gain of its readings may be wrong."),
-        (1.6, "0.62", "the unit or the gain of its readings may be wrong."),
-    ],
+    proof.few(
+        [
+            (-1.0 / 2.54, "-2.54", "its readings may be in ten-thousandths of an inch, with the other sign."),
+            (0.7, "1.4", "the unit or the gain of its readings may be wrong."),
+            (1.0 / 2.54, "2.54", "its readings may be in ten-thousandths of an inch."),
+            (0.1, "10", "its readings may be in hundredths of a mm."),
+            (1.6, "0.62", "the unit or the gain of its readings may be wrong."),
+        ],
+        2,
+    ),
 )
 @pytest.mark.parametrize("seed", proof.few([33, 38], 1))
 def test_one_factor_on_all_that_the_model_says_is_of_the_file(factor: float, times_: str, said: str, seed: int) -> None:

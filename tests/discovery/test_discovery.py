@@ -32,7 +32,7 @@ OUTSIDE = (("odd_period", "ou"), ("resonance", "white"))
 GROUP = "discovery"
 
 
-SUITE = ("cyclic_screw", "backlash", "backlash_position", "axis_expansion", "spindle_speed_shift", "guide_lift")
+SUITE = ("cyclic_screw", "backlash", "axis_expansion", "guide_lift")
 """Those that every run has; the others are in `make proof`."""
 
 
@@ -77,7 +77,9 @@ def test_improving_brings_the_error_down_where_nobody_looked(singles: list[Outco
 @pytest.mark.xdist_group(GROUP)
 def test_nothing_is_claimed_where_nothing_is_hidden() -> None:
     """With a goal of 3 % two of four come once in two hundred seeds."""
-    outcomes = [one("evidence", Case("clean", SEED + i, kind, form)) for i, (kind, form) in enumerate(CLEAN)]
+    outcomes = [
+        one("evidence", Case("clean", SEED + i, kind, form)) for i, (kind, form) in enumerate(proof.few(CLEAN, 2))
+    ]
     assert not [o.failure for o in outcomes if o.failure]
     assert sum(o.answer.accepted for o in outcomes) <= 1
 

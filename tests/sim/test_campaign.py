@@ -82,7 +82,7 @@ def ball_bars() -> list[Measurement]:
 def plates() -> list[Measurement]:
     tests = [("XY", o) for o in XY] + [("XZ", o) for o in XZ] + [("YZ", o) for o in YZ]
     return [
-        taken("grid_encoder", f"plate {p} {o}", 30 + i, {"plane": p, "origin_mm": o}, cycles=1, path={"step_mm": 8.0})
+        taken("grid_encoder", f"plate {p} {o}", 30 + i, {"plane": p, "origin_mm": o}, cycles=1, path={"step_mm": 16.0})
         for i, (p, o) in enumerate(tests)
     ]
 
