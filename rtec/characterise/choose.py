@@ -25,6 +25,8 @@ from rtec.characterise.candidates import (
 )
 from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
+from rtec.effects.thermal import AxisExpansion
+from rtec.estimation.candidates import on_part
 from rtec.estimation.gram.normal import NOTHING, Normal, ridged, solve, squares_left
 from rtec.estimation.gram.stream import Progress
 from rtec.machine.chain import component_unit
@@ -100,6 +102,7 @@ MOST_FEATURES = 4
 BLOCKS_EACH = 2
 """Held-out blocks for each of them at least: each must vary more than once."""
 SERVOS = ("servo_lag", "inertia")
+ONE_DIFFERENCE = 2
 PLAIN = (*EVERY_MACHINE, *SERVOS)
 """With effects that every machine has to some degree: they may be confounded with chosen ones even if not chosen."""
 TWIST = 1
@@ -407,18 +410,23 @@ def choose(
 
 
 def completed(
-    normal: Normal, candidates: Sequence[TermCandidate], choice: TermChoice, single: Sequence[frozenset[Drive]] = ()
+    normal: Normal,
+    candidates: Sequence[TermCandidate],
+    choice: TermChoice,
+    files: int,
+    single: Sequence[frozenset[Drive]] = (),
 ) -> TermChoice:
-    """A choice by other readings, completed by these with what every machine has, and its servos.
+    """A choice without the length of a ball bar, completed by what every machine has, its servos, and how it grows.
 
     Args:
-        normal: normal equations of all candidates, of these readings.
+        normal: normal equations of all candidates, of readings of known length.
         candidates: the candidates.
-        choice: the other choice; what not every machine has stays as it is there.
+        choice: the choice without the length; what not every machine has stays as it is there.
+        files: number of measurements.
         single: as of `choose`.
     """
     table = HeldOutTable(normal, candidates, single)
-    plain = np.array([every_machine_has(c.term.effect) or c.effect in SERVOS for c in candidates])
+    plain = np.array([_shown_by_length(c, files) for c in candidates])
     odd = [i for i in choice.chosen if not plain[i]]
     among = copy.copy(table)
     among.usable = table.usable & plain
@@ -435,6 +443,18 @@ def completed(
         if one_standard_error(table.errors(other), table.errors(chosen)):
             kept, chosen, steps = fewer, other, there
     return _judged(table, chosen, [*choice.steps, *steps])
+
+
+def _shown_by_length(one: TermCandidate, files: int) -> bool:
+    """Whether the length of a ball bar shows it: what every machine has, servos, growth by an axis' own sensor.
+
+    Two files have one difference, which the bar itself makes as well.
+    """
+    effect = one.term.effect
+    if isinstance(effect, AxisExpansion):
+        along = effect.component[1] == effect.component[2]
+        return files > ONE_DIFFERENCE and along and on_part(effect.component[2:], [effect.sensor])
+    return every_machine_has(effect) or one.effect in SERVOS
 
 
 def _judged(table: HeldOutTable, chosen: list[int], steps: Sequence[ChoiceStep]) -> TermChoice:
@@ -517,7 +537,7 @@ def _of_own(table: HeldOutTable, rest: list[int], i: int) -> list[int]:
 def _by_every_machine(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
     """The choice with an error that every machine has in the place of any other one that does no better.
 
-    One after the other until none is left: one shape may have stood for two of them.
+    One after the other, until no more can be: one shape may have stood for two of them.
     """
     for i in chosen:
         near, one = [k for k in table.of_every_machine if k not in chosen], table.candidates[i]

@@ -385,7 +385,8 @@ def _chosen(
     if wanted is None and any(f is not s for f, s in zip(free, scaled, strict=True)):
         screened, choice = _chosen(free, wanted, rules, tell)
         normal = gather(scaled, [c.term for c in screened.candidates], by_fold=True)
-        return replace(screened, sources=tuple(scaled)), completed(normal, screened.candidates, choice, rules.single)
+        choice = completed(normal, screened.candidates, choice, len(scaled), rules.single)
+        return replace(screened, sources=tuple(scaled)), choice
     screened = _without(screen(scaled, names), rules)
     choice = _choose(screened, wanted, rules, tell)
     found = refined(screened.sources, [screened.candidates[i] for i in choice.chosen], screened.candidates)

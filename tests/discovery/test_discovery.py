@@ -32,7 +32,7 @@ OUTSIDE = (("odd_period", "ou"), ("resonance", "white"))
 GROUP = "discovery"
 
 
-SUITE = ("cyclic_screw", "backlash", "axis_expansion", "guide_lift")
+SUITE = ("cyclic_screw", "backlash", "backlash_position", "axis_expansion", "guide_lift")
 """Those that every run has; the others are in `make proof`."""
 
 
