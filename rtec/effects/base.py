@@ -45,7 +45,6 @@ class Surroundings:
         step_s: typical time between readings.
         places_mm: positions of the readings, mm, by position channel.
         still: recorded temperatures that do not vary.
-        behind_arm: the component is an angle that the readings show at one lever arm alone, as a shift of its axis.
     """
 
     machine: Machine
@@ -57,7 +56,6 @@ class Surroundings:
     step_s: float
     places_mm: Mapping[str, Floats] = field(default_factory=dict)
     still: tuple[str, ...] = ()
-    behind_arm: bool = False
 
     @property
     def pairs(self) -> list[tuple[str, str]]:

@@ -107,10 +107,10 @@ class AxisExpansion(OneSensor, AxisEffect):
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator[Effect]:
-        """Of an angle only as read, from zero, where the readings separate it from the expansion itself."""
+        """Of an angle only as read, from zero."""
         if component_kind(around.component, around.machine) == "positioning":
             yield from super().suggest(around)
-        elif not around.behind_arm:
+        else:
             for effect in super().suggest(around):
                 if isinstance(effect, cls) and effect.fixed_mm == 0.0 and not effect.lag:
                     yield effect

@@ -12,7 +12,7 @@ from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import GROWTHS, PITCH_MM, Cyclic, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
-from rtec.effects.thermal import BedBending, ColumnTilt
+from rtec.effects.thermal import AxisExpansion, BedBending, ColumnTilt
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import (
@@ -114,16 +114,17 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
 
     These readings cannot distinguish it from a scale, a squareness or a straightness; each of them is a candidate too.
     An angle by heat is none for shifts at several arms either: it would stand for a screw that grows, whose temperature
-    nobody recorded.
+    nobody recorded. Where a sensor of the axis was recorded, the screw is a candidate by that.
     """
-    grows = 1 in getattr(effect, "degrees", ()) or isinstance(effect, BedBending)
+    grows = 1 in getattr(effect, "degrees", ()) or isinstance(effect, BedBending | AxisExpansion)
     if not grows or component_unit(seen.name) != "urad":
         return False
     arms = readings.arms(seen.name)
     mine = [arms[s.part] for s in readings.series if arms[s.part].any()]
     shifts = all(s.unit == "um" for s in readings.series if arms[s.part].any())
     one_arm = float(np.ptp(np.concatenate(mine))) < ONE_ARM * float(np.abs(np.concatenate(mine)).max())
-    return shifts and (isinstance(effect, BedBending) or one_arm)
+    by_others = isinstance(effect, AxisExpansion) and not on_part(effect.axis, [effect.sensor])
+    return shifts and (isinstance(effect, BedBending) or by_others or one_arm)
 
 
 def visible(readings: Readings, there: Sequence[FittedEffect] | None = ()) -> list[VisibleComponent]:
@@ -303,7 +304,6 @@ def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
         span_s=max((float(t[-1] - t[0]) for t in times), default=0.0),
         step_s=min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=1.0),
         places_mm={a.channel: np.concatenate([s.value(a.channel) for _, s in sources]) for a in machine.axes},
-        behind_arm=behind_arm(readings, seen.name),
     )
 
 

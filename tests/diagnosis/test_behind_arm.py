@@ -3,16 +3,24 @@
 Oracle: the lever arm of each beam, which is its height above the axis.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import rtec
 from rtec.diagnosis.search.diagnose import Search, diagnose
 from rtec.diagnosis.search.refit import Refitted
 from rtec.effects.reversal import AngularReversal, Backlash
+from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.candidates import behind_arm, library
 from rtec.estimation.outliers import clean
+from rtec.machine import load_machine
+from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from tests.support.diagnosis_examples import effects, laser, small_machine
+from rtec.sim.campaign.truth import effect_from_text
+from tests.support.diagnosis_examples import laser, small_machine
+from tests.support.sim_example import CONFIGS
 
 TRUE = ("scale,component=EXX,axis=X,k=8",)
 
@@ -28,27 +36,41 @@ def test_beams_at_one_height_show_no_angle(heights_mm: tuple[float, ...], behind
     assert not behind_arm(search.readings, plays.component)
 
 
-WARM = "axis_expansion,component=EBX,axis=X,sensor=T_bed,k={k}"
+MILL = CONFIGS / "machines" / "vertical-mill.toml"
+KNOWN = ("scale,component=EXX,axis=X,k=8",)
+WARM = "axis_expansion,component=EBX,axis=X,sensor={sensor},k={k}"
+
+
+def beam_of_mill(height_mm: float, seed: int, *more: str) -> Measurement:
+    changes = {"cycles": 1, "targets": {"step_mm": 23.7}, "noise": {"white_um": 0.3}}
+    setup, effects = {"beam_offset_mm": [0.0, 0.0, height_mm]}, (*KNOWN, *more)
+    made = rtec.simulate(MILL, "laser_linear", axis="X", setup=setup, effects=effects, changes=changes, seed=seed)
+    return replace(made.measurement, name=f"beam-{height_mm:g}-{seed}")
 
 
 @pytest.mark.parametrize(("heights_mm", "k"), [((-60.0, 140.0), 20.0), ((0.0, 100.0), -35.0)])
 def test_a_guideway_that_bends_as_it_warms_up_is_named(heights_mm: tuple[float, ...], k: float) -> None:
     """Two beams, each at a height of its own. Oracle: the number that was simulated, µrad/(m·K)."""
-    truth = (*TRUE, WARM.format(k=k))
-    beams = [laser(truth, 5 + i, setup={"beam_offset_mm": [0.0, 0.0, h]}) for i, h in enumerate(heights_mm)]
-    found = diagnose(Model(small_machine(), effects(*TRUE), name="empty"), beams, explain=True)
+    beams = [beam_of_mill(h, 5 + i, WARM.format(sensor="T_x_nut", k=k)) for i, h in enumerate(heights_mm)]
+    machine = load_machine(MILL)
+    known = Model(machine, tuple(effect_from_text(t, machine) for t in KNOWN), name="known")
+    found = diagnose(known, beams, draws=50, explain=True)
     assert found.verdict == "missing_effect"
     assert (found.findings[0].effect.effect, found.findings[0].effect.component) == ("axis_expansion", "EBX")
     number = found.findings[0].parameters["k"]
     assert number.value == pytest.approx(k, abs=4.0 * (number.se or 0.0))
 
 
-def test_one_beam_does_not_show_a_guideway_that_bends() -> None:
-    """One beam reads it as an expansion of the screw: the same column, and the screw is there on every machine."""
-    for heights_mm, offered in (((100.0,), False), ((100.0, 0.0), True)):
-        beams = [laser(TRUE, 1 + i, setup={"beam_offset_mm": [0.0, 0.0, h]}) for i, h in enumerate(heights_mm)]
-        bends = [c.effect for c in library(clean(beams).readings)[0] if c.effect.label.startswith("axis_expansion(EBX")]
-        assert bool(bends) is offered
+@pytest.mark.parametrize(
+    ("heights_mm", "sensors"), [((100.0,), set()), ((100.0, 100.0), set()), ((100.0, 0.0), {"T_x_nut"})]
+)
+def test_a_screw_whose_temperature_nobody_recorded_is_no_guideway(
+    heights_mm: tuple[float, ...], sensors: set[str]
+) -> None:
+    """At one height both are one column; at two a bend by another body's temperature would stand for the screw."""
+    beams = [beam_of_mill(h, 1 + i) for i, h in enumerate(heights_mm)]
+    offered = [c.effect for c in library(clean(beams).readings)[0] if c.effect.component == "EBX"]
+    assert {e.sensor for e in offered if isinstance(e, AxisExpansion)} == sensors
 
 
 @pytest.mark.parametrize(("less", "first"), [(1.0, "mount_expansion"), (4.0, "column_tilt")])

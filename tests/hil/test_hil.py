@@ -110,10 +110,10 @@ def test_a_pulled_cable_is_found_again_under_its_new_name(faulted: dict[str, Any
 
 
 def test_a_short_soak(tmp_path: Path) -> None:
-    """A quarter of a minute with faults by chance: resources flat, ledger exact; the page and its facts say so."""
+    """Half a minute with faults by chance: resources flat, ledger exact; the page and its facts say so."""
     config = hil_rig.short(tmp_path)
     done = hil_rig.rtec(
-        "hil", config, "--soak", 0.25, "--seed", 7, "--shared", "--json", env=hil_rig.environment(tmp_path / "t")
+        "hil", config, "--soak", 0.5, "--seed", 7, "--shared", "--json", env=hil_rig.environment(tmp_path / "t")
     )
     facts = hil_rig.facts_of(done)
     assert not _failed(facts)
@@ -123,7 +123,7 @@ def test_a_short_soak(tmp_path: Path) -> None:
         "soak: correction follows at the end",
         "no deadline lost to our own code",
     }
-    assert facts["duration_s"] == 15.0
+    assert facts["duration_s"] == 30.0
     assert {r["process"] for r in facts["resources"]} == {"supervisor", "loop"}
     assert {f["name"] for f in facts["faults"]} >= {"box-unplugged", "modbus-unplugged", "can-unplugged"}
     assert hil_rig.nothing_left(tmp_path / "t")
