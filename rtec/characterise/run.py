@@ -103,7 +103,6 @@ def characterise(
     with one_blas_thread():
         given, doubt = _given(measurements, leave_out_h)
         few = _too_few_circles(given, leave_out_h) if wanted is None else None
-        wanted = read_wanted(",".join(EVERY_MACHINE), given.readings.machine) if few else wanted
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
         made = assemble(fit, screened, choice, given, name, margin or Margin())
         first = [few] if few else []
@@ -197,6 +196,8 @@ def _without_moved_zeros(given: Clean) -> tuple[Clean, Warn | None]:
 def _fit(
     given: Clean, doubt: Warn | None, wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
 ) -> tuple[Estimate, Screened | None, TermChoice | None]:
+    if wanted is None and _too_few_circles(given, leave_out_h):
+        wanted = read_wanted(",".join(EVERY_MACHINE), given.readings.machine)
     try:
         found = _fit_to(given, wanted, leave_out_h, stage or (lambda _what, _done, _total: None))
         _check_waves(found[0])

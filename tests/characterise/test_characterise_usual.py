@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rtec
-from rtec.characterise import characterise
+from rtec.characterise import characterise, fitted_model
 from rtec.effects.effect_list import read_wanted
 from rtec.errors import ModelError
 from rtec.metrology.measurement import Measurement
@@ -164,5 +164,6 @@ def test_two_turns_each_way_are_too_few_for_a_choice_and_show_what_every_machine
         bars.append(replace(m, time_s=m.time_s + 600.0 * (m.run - m.run[0])))
     found = characterise(bars)
     assert {f.label for f in found.model.effects} == USUAL
+    assert {f.label for f in fitted_model(bars).effects} == USUAL
     assert found.warnings[0].code == "too_few_runs"
     assert found.warnings[0].text.startswith("4 circles are too few")
