@@ -102,9 +102,10 @@ MOST_FEATURES = 4
 BLOCKS_EACH = 2
 """Held-out blocks for each of them at least: each must vary more than once."""
 SERVOS = ("servo_lag", "inertia")
-ONE_DIFFERENCE = 2
 PLAIN = (*EVERY_MACHINE, *SERVOS)
 """With effects that every machine has to some degree: they may be confounded with chosen ones even if not chosen."""
+FEW_FILES = 2
+"""Files of a ball bar whose lengths have one difference: that of the bar itself is no other."""
 TWIST = 1
 """Degree of a rotation that grows along the axis; every machine has it to some degree, and bends, too."""
 HIDDEN = 1e-4
@@ -432,7 +433,7 @@ def completed(
     among.usable = table.usable & plain
 
     def with_plain(kept: list[int]) -> tuple[list[int], list[ChoiceStep]]:
-        path, steps = _forward(among, kept, "what not every machine has", None)
+        path, steps = _forward(among, kept, "shapes chosen without the length of the bar", None)
         return _settled(among, path, kept), steps
 
     kept = independent(normal, [table.columns[i] for i in odd], odd)
@@ -442,7 +443,7 @@ def completed(
         other, there = with_plain(fewer)
         if one_standard_error(table.errors(other), table.errors(chosen)):
             kept, chosen, steps = fewer, other, there
-    return _judged(table, chosen, [*choice.steps, *steps])
+    return _judged(table, chosen, steps)
 
 
 def _shown_by_length(one: TermCandidate, files: int) -> bool:
@@ -453,7 +454,7 @@ def _shown_by_length(one: TermCandidate, files: int) -> bool:
     effect = one.term.effect
     if isinstance(effect, AxisExpansion):
         along = effect.component[1] == effect.component[2]
-        return files > ONE_DIFFERENCE and along and on_part(effect.component[2:], [effect.sensor])
+        return files > FEW_FILES and along and on_part(effect.component[2:], [effect.sensor])
     return every_machine_has(effect) or one.effect in SERVOS
 
 

@@ -19,7 +19,6 @@ from rtec.estimation.visible import (
     VisibleComponent,
     axis_of,
     moves,
-    read_directly,
     visible_components,
     within_record,
 )
@@ -271,16 +270,6 @@ def _shape(readings: Readings, component: str) -> Floats:
     arms = readings.arms(component)
     length = float(np.linalg.norm(arms))
     return arms / length if length > 0.0 else arms
-
-
-def behind_arm(readings: Readings, component: str) -> bool:
-    """Whether a component is an angle that is read only at one lever arm, as a shift along the same axis."""
-    shown = read_directly(readings.measurements)
-    direct = [readings.arms(c) for c in shown if c[2:] == component[2:]]
-    if component in shown or not direct or component_unit(component) != "urad":
-        return False
-    arms = readings.arms(component)[np.any(direct, axis=0)]
-    return bool(arms.size) and float(np.ptp(arms)) < ONE_ARM * float(np.abs(arms).max())
 
 
 def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:

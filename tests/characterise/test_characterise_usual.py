@@ -132,8 +132,11 @@ USUAL = {"scale(EXX, X)", "scale(EYY, Y)", "squareness(EC0Y)", "backlash(EXX, X)
 def test_a_bar_that_grows_by_a_tenth_of_a_micrometre_shows_no_yaw_and_no_play_across(seed: int) -> None:
     """The second circle is larger than the first; a yaw and a play across had made up for that, without squareness."""
     bars = [short_circle(d, seed + i, PLAIN, 100.0, 0.15, 0.1) for i, d in enumerate(("ccw", "cw"))]
-    model = characterise(bars).model
+    found = characterise(bars)
+    model = found.model
     assert {f.label for f in model.effects} == USUAL
+    terms = [step["terms"] for step in found.facts()["steps"]]
+    assert terms == sorted(terms), "else the figure of the choice goes back to nothing"
     values = {f.label: next(iter(f.values.values())) for f in model.effects}
     assert values["squareness(EC0Y)"] == pytest.approx(12.0, abs=0.7)
     assert values["backlash(EXX, X)"] == pytest.approx(2.0, abs=0.2)

@@ -13,7 +13,7 @@ from rtec.diagnosis.search.diagnose import Search, diagnose
 from rtec.diagnosis.search.refit import Refitted
 from rtec.effects.reversal import AngularReversal, Backlash
 from rtec.effects.thermal import AxisExpansion
-from rtec.estimation.candidates import behind_arm, library
+from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.machine import load_machine
 from rtec.metrology.measurement import Measurement
@@ -32,8 +32,8 @@ def test_beams_at_one_height_show_no_angle(heights_mm: tuple[float, ...], behind
     search = Search(model, clean(beams).without_ends(), 1, 0.05, 50, None, False, lambda *_: None)
     turns = AngularReversal(component="EBX", axis="X")
     plays = Backlash(component="EXX", axis="X")
-    assert behind_arm(search.readings, turns.component) is behind
-    assert not behind_arm(search.readings, plays.component)
+    assert search._behind_arm(turns) is behind
+    assert not search._behind_arm(plays)
 
 
 MILL = CONFIGS / "machines" / "vertical-mill.toml"

@@ -69,7 +69,7 @@ from rtec.diagnosis.search.unnamed import (
 )
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
-from rtec.estimation.candidates import EffectCandidate, behind_arm, library
+from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.gls import held_out_gain
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
@@ -107,6 +107,8 @@ HALF = 0.5
 """From this share on it may be so even where a drift is likelier."""
 MOSTLY = 0.5
 """Two effects that help only together must remove at least this share of the held-out mean square."""
+SAME_ARM = 1e-6
+"""Lever arms within this relative difference are one."""
 DRAWS = 400
 
 
@@ -742,7 +744,12 @@ class Search:
 
     def _behind_arm(self, effect: Effect) -> bool:
         """Whether an effect is an angle that is read only at one lever arm, as a shift along the same axis."""
-        return behind_arm(self.readings, effect.component)
+        component, shown = effect.component, self._shown
+        direct = [self.readings.arms(c) for c in shown if c[2:] == component[2:]]
+        if component in shown or not direct or component_unit(component) != "urad":
+            return False
+        arms = self.readings.arms(component)[np.any(direct, axis=0)]
+        return bool(arms.size) and float(np.ptp(arms)) < SAME_ARM * float(np.abs(arms).max())
 
     @cached_property
     def _shown(self) -> Collection[str]:
