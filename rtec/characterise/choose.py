@@ -127,6 +127,7 @@ class HeldOutTable:
         self.of_several = [i for i, c in enumerate(self.columns) if len(c) != 1]
         self.shown, self.copies = _shown(normal, self.columns, offered)
         self.usable = self.shown & offered
+        self.drives = [drive(c.term.effect) for c in candidates]
         self._known: dict[tuple[int, ...], Floats] = {}
 
     def errors(self, chosen: Sequence[int]) -> Floats:
@@ -200,7 +201,7 @@ class HeldOutTable:
         total[~(self.shown if rivals else self.usable)] = 0.0
         order = (int(i) for i in np.argsort(-total, kind="stable") if total[i] > 0)
         features = self._features(chosen)
-        drives = [drive(self.candidates[i].term.effect) for i in chosen]
+        drives = [self.drives[i] for i in chosen]
         room = (i for i in order if self._room(i, features) and not self._cancels(i, drives))
         # A spindle's heat and an oil film have one power of the speed each: two powers would share one effect.
         speeds = {self._of_speed(i) for i in chosen} - {None}
@@ -277,7 +278,7 @@ class HeldOutTable:
 
     def _cancels(self, i: int, drives: Sequence[Drive]) -> bool:
         """Whether a choice already has one of the drives of which it may have only one, this candidate's included."""
-        mine = drive(self.candidates[i].term.effect)
+        mine = self.drives[i]
         return any(mine in only and not only.isdisjoint(drives) for only in self.single)
 
     def _index(self, chosen: Sequence[int]) -> Ints:

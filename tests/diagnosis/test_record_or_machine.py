@@ -181,6 +181,21 @@ def test_one_of_two_files_in_another_unit_is_named(seed: int) -> None:
     assert doubt.message.startswith("with the readings of second times 2.54 ")
 
 
+@pytest.mark.parametrize("seed", [33])
+def test_a_quiet_file_in_another_unit_is_named_beside_noisy_ones(seed: int) -> None:
+    """The noise of the others is no measure of what it has."""
+    rng = np.random.default_rng(seed)
+
+    def noisy(m: Measurement, name: str) -> Measurement:
+        readings = {k: v + rng.normal(0.0, 5.6, v.shape) for k, v in m.readings.items()}
+        return replace(m, readings=readings, name=name)
+
+    bad = replace(times(day(seed), 1.0 / 2.54), name="quiet")
+    others = [noisy(day(seed + i), f"noisy {i}") for i in (10, 20)]
+    (doubt,) = [d for d in compare(fitted(), [bad, *others]).doubts if d.fatal]
+    assert doubt.message.startswith("with the readings of quiet times 2.54 ")
+
+
 @pytest.mark.parametrize("seed", proof.few([35, 36, 37], 1))
 @pytest.mark.parametrize("new", [{"growth": 18.0}, {"growth": 18.0, "scale": 14.0}, {"growth": 7.0, "play": 1.0}])
 def test_numbers_that_changed_by_different_factors_are_of_the_machine(new: Mapping[str, float], seed: int) -> None:

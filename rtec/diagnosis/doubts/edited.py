@@ -270,16 +270,24 @@ def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: floa
         if not unit and usual is None:
             continue
         factor = 1.0 / known
-        left, none = (judged.pooled(measured - np.where(mine, f, 1.0) * predicted) for f in (factor, 0.0))
+        after = measured - np.where(mine, factor, 1.0) * predicted
+        left, follows = judged.pooled(after), _size(after, weight * mine) < BETTER * _size(measured, weight * mine)
         met = BY_FAR * judged.residual if unit else NEAR_FIT * abs(factor) * (usual or 0.0)
         near = max(NEAR_FLOOR * judged.noise_floor, NEAR_REFIT * judged.refitted, met)
-        close = left <= min(BETTER * judged.residual, BETTER * none, near)
-        if not close or _as_well(judged, left if unit else ALIKE * left):
+        if (
+            left > min(BETTER * judged.residual, near)
+            or not follows
+            or _as_well(judged, left if unit else ALIKE * left)
+        ):
             continue
         suspect = f"its readings may be in {unit}" if unit else "the unit or the gain of its readings may be wrong"
         sign = ", with the other sign" if unit and factor < 0.0 else ""
         edit, by = f"the readings of {name} times {1.0 / factor:.3g}", abs(1.0 / factor)
         yield Edit(left, "wrong_gain", edit, f"{suspect}{sign}", "the unit and the instrument", times=by)
+
+
+def _size(readings: Floats, weight: Floats) -> float:
+    return float(np.linalg.norm(weight * readings))
 
 
 def _effect_does(judged: Judgement, found: Edit) -> bool:

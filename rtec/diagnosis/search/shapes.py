@@ -542,17 +542,21 @@ def _steps(ground: Ground, projected: Projected, group: str, name: str) -> list[
     gram, along = left.T @ left, left.T @ projected.left
     apart = np.abs(edges[:, None] - edges) >= BETWEEN
 
-    def explained(which: Sequence[int]) -> float:
-        some = gram[np.ix_(which, which)]
-        return float(along[list(which)] @ np.linalg.lstsq(some, along[list(which)], rcond=ABSORBED**2)[0])
-
     def best_beside(fixed: Sequence[int]) -> list[int] | None:
         """The fixed steps and the one that explains most beside them; None where there is no room."""
-        free = np.flatnonzero(apart[list(fixed)].all(axis=0))
-        return max(([*fixed, int(i)] for i in free), key=explained, default=None)
+        have = np.array(fixed, dtype=np.int64)
+        free = np.flatnonzero(apart[have].all(axis=0))
+        if not len(free):
+            return None
+        cross = gram[np.ix_(free, have)]
+        beside = cross @ np.linalg.pinv(gram[np.ix_(have, have)], rcond=ABSORBED**2, hermitian=True)
+        rest = np.diag(gram)[free] - np.einsum("ij,ij->i", beside, cross)
+        clear = rest > ABSORBED**2 * np.diag(gram)[free]
+        gain = (along[free] - beside @ along[have]) ** 2 / np.where(clear, rest, np.inf)
+        return [*fixed, int(free[np.argmax(gain)])]
 
-    single = max(range(len(places)), key=lambda i: explained([i]))
-    shapes = [Shape(group, (name,), (0,), place=places[single])]
+    single = best_beside([]) or [0]
+    shapes = [Shape(group, (name,), (0,), place=places[single[0]])]
     most = min(MOST_STEPS, _places(value[mask]) // (2 * EACH))
     chosen = _best_two(gram, along, apart) if most > 1 else None
     while chosen is not None:

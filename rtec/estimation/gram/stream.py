@@ -8,9 +8,10 @@ A state is passed window by window, so that a million readings never need their 
 The nuisances of each run are projected out of the columns, chunk by chunk.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -189,6 +190,8 @@ Progress = Callable[[int, int], None]
 
 CHUNK = 8192
 """Readings in a chunk."""
+TOGETHER = 2048
+"""Readings of short blocks whose columns are computed at once."""
 LITTLE = 200_000
 """A chunk with fewer numbers is summed at once."""
 
@@ -293,6 +296,28 @@ def predict(source: Source, terms: Columns, values: Floats) -> Floats:
     return out
 
 
+@dataclass(frozen=True)
+class _Block:
+    """Rows start … stop - 1 of a source, the sums of their block, and what projects its nuisances."""
+
+    start: int
+    stop: int
+    gram: Floats
+    carry: Carry
+
+
+def _together(blocks: Sequence[_Block], most: int) -> Iterator[list[_Block]]:
+    """Blocks that follow each other, as many as `most` rows hold, at least one: their columns are computed at once."""
+    part = list[_Block]()
+    for block in blocks:
+        if part and block.stop - part[0].start > most:
+            yield part
+            part = []
+        part.append(block)
+    if part:
+        yield part
+
+
 class _Gatherer:
     """Buffers and sums of one pass."""
 
@@ -317,36 +342,30 @@ class _Gatherer:
 
     def gather(self) -> Normal:
         """Pass through every source; columns of a chunk are computed while those of the previous one are summed."""
-        keys = [(s, b) for s, source in enumerate(self.sources) for b in range(len(source.blocks.fold))]
-        return self._gathered(keys, [self.sources[s].blocks.fold[b] for s, b in keys], [s for s, _ in keys])
+        fold = [int(f) for source in self.sources for f in source.blocks.fold]
+        source_of = [s for s, source in enumerate(self.sources) for _ in source.blocks.fold]
+        return self._gathered(range(len(fold)), fold, source_of)
 
     def by_fold(self) -> Normal:
         """The same, with blocks that are held out together joined."""
-        folds = np.unique(np.concatenate([source.blocks.fold for source in self.sources]))
-        places = {int(f): i for i, f in enumerate(folds)}
-        keys = [(s, b) for s, source in enumerate(self.sources) for b in range(len(source.blocks.fold))]
-        into = [places[int(self.sources[s].blocks.fold[b])] for s, b in keys]
-        return self._gathered(keys, folds.tolist(), [0] * len(folds), into)
+        folds, place = np.unique(np.concatenate([source.blocks.fold for source in self.sources]), return_inverse=True)
+        return self._gathered(place.tolist(), folds.tolist(), [0] * len(folds))
 
-    def _gathered(
-        self, keys: Sequence[tuple[int, int]], fold: Sequence[int], source_of: Sequence[int],
-        into: Sequence[int] | None = None,
-    ) -> Normal:  # fmt: skip
-        """Sums of blocks, (source, number), each at a place of its own or at that of `into`."""
-        place = list(into) if into is not None else list(range(len(keys)))
+    def _gathered(self, place: Sequence[int], fold: Sequence[int], source_of: Sequence[int]) -> Normal:
+        """Sums of blocks, each at its place."""
         gram = np.zeros((len(fold), self.width, self.width))
         readings, lost = np.zeros(len(fold), dtype=np.int64), np.zeros(len(fold))
-        now, walk, spent = -1, Walk(self.sources[0].state), np.zeros(0)
+        places = iter(place)
         with ThreadPoolExecutor(1) as summing:
-            for (s, b), at in zip(keys, place, strict=True):
-                source = self.sources[s]
-                if s != now:
-                    now, walk, spent = s, Walk(source.state), source.lost()
-                edges, runs = source.blocks.edges, source.blocks.run_edges
-                start, stop = int(edges[b]), int(edges[b + 1])
-                self._block(gram[at], s, walk, start, stop, summing)
-                readings[at] += int(np.count_nonzero(source.weight[start * source.count : stop * source.count]))
-                lost[at] += float(spent[(runs[:-1] >= start) & (runs[:-1] < stop)].sum())
+            for s, source in enumerate(self.sources):
+                runs, spent, blocks = source.blocks.run_edges, source.lost(), list[_Block]()
+                for (start, stop), at in zip(pairwise(source.blocks.edges.tolist()), places, strict=False):
+                    readings[at] += int(np.count_nonzero(source.weight[start * source.count : stop * source.count]))
+                    lost[at] += float(spent[(runs[:-1] >= start) & (runs[:-1] < stop)].sum())
+                    blocks.append(_Block(start, stop, gram[at], Carry(source)))
+                walk = Walk(source.state)
+                for part in _together(blocks, max(TOGETHER // source.count, 1)):
+                    self._pass(part, s, walk, summing)
             self._wait()
         return Normal(
             gram=gram,
@@ -359,18 +378,18 @@ class _Gatherer:
             extra=tuple(e.name for _, e in self.extra),
         )
 
-    def _block(self, gram: Floats, s: int, walk: Walk, start: int, stop: int, summing: ThreadPoolExecutor) -> None:
-        source = self.sources[s]
-        carry = Carry(source)
+    def _pass(self, blocks: "Sequence[_Block]", s: int, walk: Walk, summing: ThreadPoolExecutor) -> None:
+        """Pass through blocks that follow each other."""
+        source, start, stop = self.sources[s], blocks[0].start, blocks[-1].stop
         step = max(CHUNK // source.count, 1)
         for a in range(start, stop, step):
             b = min(a + step, stop)
             buffer = self._columns(s, walk, a, b)
             self._wait()  # at most one chunk ahead: the order of the sums stays the same
             if (b - a) * source.count * self.width < LITTLE:
-                self._absorb(gram, carry, buffer, a * source.count)
+                self._absorb(blocks, buffer, a, source.count)
             else:
-                self._behind = summing.submit(self._absorb, gram, carry, buffer, a * source.count)
+                self._behind = summing.submit(self._absorb, blocks, buffer, a, source.count)
             self.done += (b - a) * source.count
             if self.progress:
                 self.progress(self.done, self.total)
@@ -380,11 +399,16 @@ class _Gatherer:
             self._behind.result()
             self._behind = None
 
-    def _absorb(self, gram: Floats, carry: Carry, buffer: Floats, start: int) -> None:
-        """Project the nuisances out of a chunk and add it to the sums."""
+    def _absorb(self, blocks: "Sequence[_Block]", buffer: Floats, start: int, count: int) -> None:
+        """Project the nuisances out of a chunk and add its part of each block to the block's sums."""
         self.raw += np.einsum("ij,ij->i", buffer, buffer)
-        gram += carry.project(buffer, start, start + buffer.shape[1])
-        gram += buffer @ buffer.T
+        first, last = start * count, start * count + buffer.shape[1]
+        for block in blocks:
+            a, b = max(block.start * count, first), min(block.stop * count, last)
+            if a < b:
+                part = buffer[:, a - first : b - first]
+                np.add(block.gram, block.carry.project(part, a, b), out=block.gram)
+                np.add(block.gram, part @ part.T, out=block.gram)
 
     def _columns(self, s: int, walk: Walk, start: int, stop: int) -> Floats:
         source, r = self.sources[s], self.sources[s].count

@@ -45,6 +45,7 @@ HELP: Final = (
     "sin, cos, exp, log, sqrt, abs, tanh, min, max; lag(T_bed, tau) is T_bed through a lag of tau seconds.",
     "A parameter with a range is searched: a start, and from where to where. It gets a slider below.",
 )
+NOTHING_WRITTEN: Final = "Its curve through the residual appears here while you type."
 STEPS: Final = 200
 FIELDS: Final = {"--expr": "own", "--component": "feeds", "--param": "params"}
 """Field of the page for each option of `rtec add`."""
@@ -248,6 +249,10 @@ def _own_expression(session: TabSession) -> None:
         form.build()
 
 
+def _empty_figure() -> dict[str, Any]:
+    return {"data": [], "layout": figures.layout(xaxis=figures.axis(""), yaxis=figures.axis(""))}
+
+
 class _Form:
     """An expression, its curve during typing, and sliders for its parameters."""
 
@@ -288,10 +293,8 @@ class _Form:
             for line in HELP:
                 Words("p", line)
         self._sliders = ui.element("div").style("display: grid; gap: .3rem")
-        self._message = Words("p", "Its curve through the residual appears here while you type.", "small").props(
-            'role="status"'
-        )
-        first: dict[str, Any] = {"data": [], "layout": figures.layout(xaxis=figures.axis(""), yaxis=figures.axis(""))}
+        self._message = Words("p", NOTHING_WRITTEN, "small").props('role="status"')
+        first = _empty_figure()
         if s.previewed is not None:
             first, self._below = figures.evidence_figure(s.previewed[1].evidence), s.previewed[1].evidence.below
         self._chart = zoomable(s, "add own", first, "Residual and the expression")
@@ -358,10 +361,12 @@ class _Form:
 
     async def _draw(self, request: EffectRequest) -> None:
         step = self._session.step
-        if not request.expression or step is None:
-            return
         if self._preview is not None:
             self._preview.cancel()
+        if not request.expression or step is None:
+            self._message.set_text(NOTHING_WRITTEN)
+            self._chart.show(_empty_figure())
+            return
         job = self._preview = Job("Preview", lambda: None)
         try:
             shown = await job.run(model_tasks.preview, step.model, request, self._session.files)

@@ -67,9 +67,10 @@ def _chart(page: "Page", shows: str) -> Any:
 
 
 def _show(page: "Page", name: str) -> None:
-    """Show another page."""
+    """Show a page; also that which is shown, which the server makes again."""
+    page.evaluate("document.querySelector('h1').dataset.before = ''")
     page.get_by_role("link", name=name, exact=True).click()
-    page.locator("h1", has_text=name).wait_for()
+    page.locator("h1:not([data-before])", has_text=name).wait_for()
 
 
 def _drag(page: "Page", chart: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
@@ -104,6 +105,7 @@ def _zoom(page: "Page", chart: Any) -> dict[str, list[float]]:
 
 def test_marked_readings_and_the_part_in_sight(page: "Page") -> None:
     """They are in the report in the words of the page, and still there when the page is shown again."""
+    _show(page, "Compare")
     _drag(page, _chart(page, "The residual"), (0.3, 0.2), (0.6, 0.8))
     page.locator(".reading", has_text="readings marked").wait_for()
     words = page.locator(".reading").inner_text()
@@ -160,6 +162,7 @@ def test_the_candidate_and_the_residual_after_it_are_cut_as_on_the_page(page: "P
 
 def test_an_expression_that_is_being_written(page: "Page") -> None:
     """Oracle: the page's own words."""
+    _show(page, "Add and watch")
     page.get_by_text("An effect of your own").click()
     page.get_by_label("Expression, µm or µrad").fill("A*sin(2*pi*x/50)")
     words = page.get_by_text("of the mean square of the residual of these readings")
@@ -170,8 +173,8 @@ def test_an_expression_that_is_being_written(page: "Page") -> None:
     assert f"<p>{escape(said)}</p>" in html
     _show(page, "Add and watch")
     page.get_by_label("Expression, µm or µrad").fill("")
+    words.wait_for(state="hidden")
     page.get_by_text("Ready.").wait_for()
-    page.wait_for_timeout(1000)  # the field waits while one types
     assert "Not added yet" not in _report(page, "Add and watch")
 
 
