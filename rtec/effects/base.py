@@ -45,6 +45,7 @@ class Surroundings:
         step_s: typical time between readings.
         places_mm: positions of the readings, mm, by position channel.
         still: recorded temperatures that do not vary.
+        cut: whether parts were measured that the tool had cut: it wears within hours.
     """
 
     machine: Machine
@@ -56,6 +57,7 @@ class Surroundings:
     step_s: float
     places_mm: Mapping[str, Floats] = field(default_factory=dict)
     still: tuple[str, ...] = ()
+    cut: bool = False
 
     @property
     def pairs(self) -> list[tuple[str, str]]:

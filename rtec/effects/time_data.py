@@ -82,13 +82,14 @@ class WearDrift(_OfTime):
         ),
         reveal="probe an artefact before and after a rest",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "link")
     effect: Literal["wear_drift"] = "wear_drift"
 
     @classmethod
     def missing(cls, around: Surroundings) -> str:
-        """Needs about a day: over hours, machine and instrument drift too."""
+        """Needs about a day: over hours, machine and instrument drift too. A cutting tool wears within hours."""
         reason = super().missing(around)
-        if reason or around.span_s >= LONG_ENOUGH_S:
+        if reason or around.cut or around.span_s >= LONG_ENOUGH_S:
             return reason
         return f"the record is {around.span_s / 3600.0:.1f} h long; an even trend cannot be told from any drift"
 

@@ -293,6 +293,7 @@ def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
         span_s=max((float(t[-1] - t[0]) for t in times), default=0.0),
         step_s=min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=1.0),
         places_mm={a.channel: np.concatenate([s.value(a.channel) for _, s in sources]) for a in machine.axes},
+        cut=any(m.instrument.name == "work_piece" for m, _ in sources),
     )
 
 

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 HALF = 0.5
 """A number has changed if at least this share of what a refit found remains beside the effects that were added."""
+FAR_ABOVE = 2.0
+"""Held-out runs that are met to less than this many times the noise floor are met: a drift of each run is part of it."""
 MOST_RIVALS = 3
 """Effects in the text on a step that cannot be distinguished from the added one."""
 WHY_ENDED = {
@@ -227,8 +229,19 @@ def _why_ended(r: Improved) -> str:
     if r.reason == "unknown_effect" and r.steps:
         return "what is still missing is not in the catalogue"
     if r.reason == "nothing_missing" and r.steps:
-        return _beside(r, WHY_ENDED[r.reason]) + drifts(r.diagnoses[-1])
+        return _beside(r, _unexplained(r.steps[-1]) or WHY_ENDED[r.reason]) + drifts(r.diagnoses[-1])
     return WHY_ENDED[r.reason]
+
+
+def _unexplained(last: Added) -> str:
+    """That held-out runs are far above the noise although no effect is named, in words; else empty."""
+    times = last.after.held_out / last.floor if last.floor > 0.0 else 0.0
+    if times < FAR_ABOVE:
+        return ""
+    return (
+        f"no effect of the catalogue predicts the rest, {significant(times, 2)} times the noise floor on held-out runs: "
+        "what drives it may not be recorded, or may be two channels together"
+    )
 
 
 def _beside(r: Improved, verdict: str) -> str:

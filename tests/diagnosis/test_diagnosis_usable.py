@@ -1,6 +1,7 @@
 """Refits, ranges of own expressions, refusals and histories; oracles: what a simulation made true, and plain sums."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -203,6 +204,19 @@ def test_what_was_passed_over_is_told() -> None:
     brief = improved_page(result, figures=False).brief
     assert brief is not None
     assert all(any(r in line for line in brief.text) for r in rivals[:3])
+
+
+def test_an_end_far_above_the_noise_is_not_called_the_end_of_what_is_missing() -> None:
+    """Oracle: held-out runs that are met to three times the noise, or to the noise."""
+    result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
+    (*before, last) = result.steps
+
+    def ended(times: float) -> str:
+        far = replace(last, after=replace(last.after, held_out=times * last.floor))
+        return improved_page(replace(result, steps=(*before, far), reason="nothing_missing"), figures=False).lead
+
+    assert "no effect of the catalogue predicts the rest, 3 times the noise floor on held-out runs: " in ended(3.0)
+    assert "no effect is missing that these readings could show" in ended(1.5)
 
 
 def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
