@@ -215,7 +215,7 @@ def test_an_end_far_above_the_noise_is_not_called_the_end_of_what_is_missing() -
         far = replace(last, after=replace(last.after, held_out=times * last.floor))
         return improved_page(replace(result, steps=(*before, far), reason="nothing_missing"), figures=False).lead
 
-    assert "no effect of the catalogue predicts the rest, 3 times the noise floor on held-out runs: " in ended(3.0)
+    assert "no effect of the catalogue predicts the rest, 3.0 times the noise floor on held-out runs: " in ended(3.0)
     assert "no effect is missing that these readings could show" in ended(1.5)
 
 
