@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter
+from rtec.effects.base import component_kind
+from rtec.effects.geometry import Squareness
 from rtec.machine import Axis, Machine
 from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
@@ -114,8 +116,9 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
     """Component errors that a reading shows directly, not through a lever arm; and whether a file names them.
 
     These are components that a file names. Where it names none, they are every shift (or every angle, of readings in
-    µrad) of an axis that moved, or of a fixed link, that moves a reading one to one wherever the axes are. An
-    instrument that shows none in this way (a ball bar, whose direction turns) shows all that it sees.
+    µrad) of an axis that moved, or of a fixed link, that moves a reading one to one wherever the axes are; and the angle
+    of an axis' line, of instruments that are made to show it. An instrument that shows none in this way (a ball bar,
+    whose direction turns) shows all that it sees.
     """
     machine = measurements[0].machine
     out: dict[str, bool] = {}
@@ -132,6 +135,8 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
             alike = np.array([u == component_unit(name) for u in units])
             if (one[:, machine.components.index(name)] & alike).any():
                 shown.append(name)
+        if m.instrument.name in Squareness.about.seen_by:
+            shown += [name for name in seen if component_kind(name, machine) == "axis_angle"]
         for name in shown or seen:
             out.setdefault(name, False)
     return out

@@ -93,6 +93,44 @@ def test_a_bar_s_circles_show_scales_and_squareness_and_no_guide_that_bends(seed
     assert "polynomial_position(ECX, X)" not in found
 
 
+def every(m: Measurement, step: int) -> Measurement:
+    """Some of the readings."""
+    return replace(
+        m,
+        time_s=m.time_s[::step],
+        run=m.run[::step],
+        channels={name: v[::step] for name, v in m.channels.items()},
+        readings={name: v[::step] for name, v in m.readings.items()},
+    )
+
+
+SQUARE = (
+    "squareness,component=EC0Y,alpha=22",
+    "squareness,component=EB0Z,alpha=-15",
+    "polynomial_position,component=EYX,axis=X,degrees=[2],c2=2",
+    "column_tilt,component=EB0Z,front=T_column,back=T_air,k=3",
+)
+
+
+def square(axis: str, seed: int) -> Measurement:
+    """Both arms of a square between X and another axis, through a warm-up."""
+    noise = {"white_um": 0.3, "drift_um": 0.5, "drift_tau_s": 1800.0}
+    mill, setup = CONFIGS / "machines" / "vertical-mill.toml", {"reference_axis": "X"}
+    made = rtec.simulate(
+        mill, "squareness", axis=axis, setup=setup, effects=SQUARE, changes={"noise": noise}, seed=seed
+    ).measurement
+    return replace(every(made, 7), name=axis)
+
+
+@pytest.mark.parametrize("seed", [10, 20])
+def test_a_square_shows_squareness_and_no_angle_behind_an_arm(seed: int) -> None:
+    """A pitch of Y and a growth of the spindle had taken the place of one of them."""
+    model = characterise([square("Y", seed), square("Z", seed + 1)]).model
+    found = {f.label: next(iter(f.values.values())) for f in model.effects}
+    assert found["squareness(EC0Y)"] == pytest.approx(22.0, abs=0.5)
+    assert found["squareness(EB0Z)"] == pytest.approx(-15.0, abs=1.0)
+
+
 def short_circle(
     direction: str, seed: int, effects: Sequence[str], radius_mm: float, noise_um: float, drift_um: float
 ) -> Measurement:
@@ -107,15 +145,7 @@ def short_circle(
     changes = {"cycles": 2, "noise": {"white_um": noise_um, "drift_um": drift_um, "drift_tau_s": 300.0}}
     mill = CONFIGS / "machines" / "vertical-mill.toml"
     m = rtec.simulate(mill, "ball_bar", setup=setup, effects=effects, changes=changes, seed=seed).measurement
-    kept = np.arange(0, len(m), 12)
-    return replace(
-        m,
-        name=direction,
-        time_s=m.time_s[kept],
-        run=m.run[kept],
-        channels={name: v[kept] for name, v in m.channels.items()},
-        readings={name: v[kept] for name, v in m.readings.items()},
-    )
+    return replace(every(m, 12), name=direction)
 
 
 PLAIN = (
