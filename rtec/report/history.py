@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 HALF = 0.5
 """A number has changed if at least this share of what a refit found remains beside the effects that were added."""
 FAR_ABOVE = 2.0
-"""Held-out runs that are met to less than this many times the noise floor are met: a drift of each run is part of it."""
+"""Held-out runs are met where they are met to less than this many times the noise floor: each run drifts."""
 MOST_RIVALS = 3
 """Effects in the text on a step that cannot be distinguished from the added one."""
 WHY_ENDED = {
@@ -239,8 +239,8 @@ def _unexplained(last: Added) -> str:
     if times < FAR_ABOVE:
         return ""
     return (
-        f"no effect of the catalogue predicts the rest, {significant(times, 2)} times the noise floor on held-out runs: "
-        "what drives it may not be recorded, or may be two channels together"
+        f"no effect of the catalogue predicts the rest, {significant(times, 2)} times the noise floor on held-out "
+        "runs: what drives it may not be recorded, or may be two channels together"
     )
 
 
