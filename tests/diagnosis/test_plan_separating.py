@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.cli.main import status
+from rtec.diagnosis.plan.ideas import extra_tests
 from rtec.diagnosis.plan.plan import Extra
 from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, with_gains
 from rtec.diagnosis.result import Alike
@@ -151,6 +152,19 @@ def test_two_sensors_in_a_short_cold_test_stay_rivals() -> None:
     assert bars
     assert not any(pair.clear for pair in bars)
     assert found["drift probes, spindle on and off over 8 h"].clear
+
+
+def test_a_cold_machine_does_not_separate_temperatures() -> None:
+    """Sensors that differ by some tenths of a kelvin had looked like a square's tilt, at odds of 20 to 1."""
+    mill = load_machine(CONFIGS / "machines" / "vertical-mill.toml")
+    tilt = effect_from_text("column_tilt,component=EB0Z,front=T_bed,back=T_y_nut,k=30", mill)
+    other = effect_from_text("column_tilt,component=EB0Z,front=T_column,back=T_air,k=30", mill)
+    square = next(t for t in extra_tests(mill) if t.name.startswith("square between Z and X"))
+    wander = np.linspace(0.0, 0.4, len(square.measurement))
+    channels = {**square.measurement.channels, "T_bed": 20.0 + wander, "T_column": 20.3 - wander}
+    test = replace(square, measurement=replace(square.measurement, channels=channels))
+    (found,) = separating(Model(mill, (), name="base"), [tilt, other], [], [test], noise=0.1)
+    assert found.least == 0.0
 
 
 def test_the_current_model_is_fitted_along() -> None:

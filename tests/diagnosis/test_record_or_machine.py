@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import rtec
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.extend.add import add, refused
@@ -24,6 +25,7 @@ from rtec.model import Model
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
 from tests.support.machines import axis
+from tests.support.setups import CONFIGS
 
 Floats = NDArray[np.float64]
 
@@ -200,6 +202,36 @@ def test_a_quiet_file_in_another_unit_is_named_beside_noisy_ones(seed: int) -> N
 @pytest.mark.parametrize("new", [{"growth": 18.0}, {"growth": 18.0, "scale": 14.0}, {"growth": 7.0, "play": 1.0}])
 def test_numbers_that_changed_by_different_factors_are_of_the_machine(new: Mapping[str, float], seed: int) -> None:
     assert not fatal(day(seed, new))
+
+
+PROBES = {
+    "x1": {"direction": "X"},
+    "x2": {"direction": "X", "offset_mm": [0.0, 0.0, 100.0]},
+    "y1": {"direction": "Y"},
+    "y2": {"direction": "Y", "offset_mm": [0.0, 0.0, 100.0]},
+    "z": {"direction": "Z"},
+}
+GROWTH = (
+    "mount_expansion,component=EZ0spindle,sensor=T_spindle,k=-1.5",
+    "mount_expansion,component=EY0spindle,sensor=T_column,k=1.2",
+    "mount_expansion,component=EA0spindle,sensor=T_column,k=4",
+)
+
+
+@pytest.mark.parametrize("columns", [("reading_x1_um", "reading_y1_um"), ("reading_y2_um", "reading_z_um")])
+def test_two_probes_that_were_exchanged_are_named(columns: tuple[str, str]) -> None:
+    """A tilt of the column had been found in place of the first pair. Oracle: the columns that were exchanged."""
+    mill = CONFIGS / "machines" / "vertical-mill.toml"
+    made = rtec.simulate(
+        mill, "spindle_drift", setup={"probe": PROBES}, effects=GROWTH, seed=3, changes={"noise": {"white_um": 0.2}}
+    )
+    good = made.measurement
+    model = Model(good.machine, tuple(effect_from_text(text, good.machine) for text in GROWTH), name="known")
+    assert not [d for d in compare(model, [good]).doubts if d.fatal]
+    one, two = columns
+    bad = replace(good, readings={**good.readings, one: good.readings[two], two: good.readings[one]})
+    (doubt,) = [d for d in compare(model, [bad]).doubts if d.fatal]
+    assert (doubt.kind, f"with {one} and {two} of {bad.name} exchanged" in doubt.message) == ("swapped_readings", True)
 
 
 def fallen(m: Measurement, name: str, run: int) -> Measurement:

@@ -8,7 +8,7 @@ Kind = Literal[
     "corrected", "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
     "unexplained", "two_levels", "few_targets", "too_few", "cycle", "not_read", "swapped_axes", "wrong_direction",
-    "wrong_rate", "far_temperatures", "outside_travel", "scatter", "beyond_materials",
+    "wrong_rate", "far_temperatures", "outside_travel", "scatter", "beyond_materials", "swapped_readings",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -29,6 +29,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
         "dead_sensor",
         "not_read",
         "swapped_axes",
+        "swapped_readings",
         "wrong_direction",
         "wrong_rate",
         "far_temperatures",

@@ -62,11 +62,12 @@ def edited_record(judged: Judgement, measured: Floats, predicted: Floats) -> Edi
     lost = [e for e in edits.lost(max(judged.noise_floor, usual or 0.0)) if e.residual < BETTER * judged.residual]
     lost = [e for e in lost if not _as_well(judged, e.residual)]
     factors = _factors(judged, measured, predicted, usual)
-    found = min([*edits.possible(), *factors, *lost], key=lambda e: e.residual, default=None)
+    swapped = _exchanged_readings(judged, measured, predicted, usual)
+    found = min([*edits.possible(), *factors, *lost, *swapped], key=lambda e: e.residual, default=None)
     if found is None:
         return None
     near = NEAR_FLOOR * _whole_noise(judged)
-    if found.kind in ("wrong_gain", "lost_sensor"):
+    if found.kind in ("wrong_gain", "lost_sensor", "swapped_readings"):
         return found
     if found.kind in ("wrong_channel", "swapped_sensors") and _new_number_does(judged, found):
         return None
@@ -284,6 +285,23 @@ def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: floa
         sign = ", with the other sign" if unit and factor < 0.0 else ""
         edit, by = f"the readings of {name} times {1.0 / factor:.3g}", abs(1.0 / factor)
         yield Edit(left, "wrong_gain", edit, f"{suspect}{sign}", "the unit and the instrument", times=by)
+
+
+def _exchanged_readings(judged: Judgement, measured: Floats, predicted: Floats, usual: float | None) -> Iterator[Edit]:
+    """Two reading columns of one file exchanged, such as two probes on one arbor; then the model fits as it did."""
+    readings = judged.readings
+    near = max(NEAR_FLOOR * judged.noise_floor, NEAR_FIT * (usual or 0.0))
+    for one, two in itertools.combinations(readings.series, 2):
+        if one.source != two.source or one.unit != two.unit or not np.array_equal(one.row, two.row):
+            continue
+        other = measured.copy()
+        other[one.part], other[two.part] = measured[two.part], measured[one.part]
+        left = judged.pooled(other - predicted)
+        if left > min(BETTER * judged.residual, near) or _as_well(judged, left):
+            continue
+        name = readings.measurements[one.source].name
+        edit = f"{one.column} and {two.column} of {name} exchanged"
+        yield Edit(left, "swapped_readings", edit, "the two probes may be exchanged", "their plugs and columns")
 
 
 def _size(readings: Floats, weight: Floats) -> float:

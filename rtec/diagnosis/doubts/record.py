@@ -70,7 +70,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
         step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}.{'' if odd.turned else f' {ALONE}'}"
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
     found += turned
-    found += _corrected(judged, measured, predicted)
+    if edited is None or edited.kind != "swapped_readings":  # of two exchanged columns one may be flat
+        found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
         found.append(edited.doubt(judged.residual, ERROR_UNITS[judged.unit]))
     step, levels = f"{STEP[0].upper()}{STEP[1:]}.", [] if found else _levels(judged)

@@ -39,6 +39,8 @@ A_DAY = 24.0
 INDEPENDENT = 100.0
 """A test has at most the information of this many readings: those close together share the drift of instrument and
 machine, so that many readings do not resolve what is far below the noise of one."""
+VARIES_K = 1.0
+"""A temperature that varies by less, K, is still."""
 TINY = 1e-11
 """Directions below this share of the largest are not seen."""
 
@@ -128,7 +130,7 @@ def separating(
     else:
         here = np.zeros(2 * (_width((*model.effects, *rivals), machine),))
         here += sum(_of_test(model, rivals, m, noise) for m in measurements)
-    informed = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
+    informed = [(t, _of_test(model, rivals, _still(t.measurement, model.reference_degc), noise)) for t in tests]
     base, split = _as_columns(model, rivals)
     return ranked(here, informed, base, split)
 
@@ -241,6 +243,12 @@ def _slope(fitted: FittedEffect, readings: Readings, name: str) -> Floats:
     if not effect_columns(fitted.effect, readings, dict(fitted.theta)).any():
         return np.zeros(len(readings))
     return slope(fitted, readings, name, _values(fitted, readings.machine))
+
+
+def _still(test: Measurement, degc: float) -> Measurement:
+    """A test with each temperature that hardly varies in it at the reference: it tells nothing of two sensors there."""
+    names = [n for n in test.machine.sensor_names if n in test.channels and np.ptp(test.channels[n]) < VARIES_K]
+    return replace(test, channels={**test.channels, **{n: np.full(len(test), degc) for n in names}})
 
 
 def _of_test(model: Model, rivals: Sequence[FittedEffect], measurement: Measurement, noise: float) -> Floats:

@@ -133,7 +133,8 @@ def _generic(one: Effect, other: Effect) -> str:
             "or one that reads one of them directly"
         )
     if only and others:
-        return f"change {' or '.join(only)} while {' and '.join(others)} stays as it is, and the other way round"
+        stay = "stays as it is" if len(others) == 1 else "stay as they are"
+        return f"change {' or '.join(only)} while {' and '.join(others)} {stay}, and the other way round"
     if only or others:
         return f"change {' or '.join(only or others)} with everything else as it is"
     return "measure again with other values of what drives them, in another order"
