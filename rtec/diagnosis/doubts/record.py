@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis.doubts.bar_length import length_of_circles
 from rtec.diagnosis.doubts.doubt import ALONE, Doubt, Kind
 from rtec.diagnosis.doubts.edited import BETTER, edited_record, moves
 from rtec.diagnosis.doubts.edits import Edit
@@ -74,6 +75,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
         found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
         found.append(edited.doubt(judged.residual, ERROR_UNITS[judged.unit]))
+    if not found and (bar := length_of_circles(judged)) is not None:
+        found.append(bar)
     step, levels = f"{STEP[0].upper()}{STEP[1:]}.", [] if found else _levels(judged)
     found += levels or [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
     step = f"{NEXT[0].upper()}{NEXT[1:]}."
