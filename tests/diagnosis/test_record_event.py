@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+import rtec
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add, new_effect
 from rtec.diagnosis.extend.improve import Improved, improve
@@ -14,8 +15,10 @@ from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.history import improved_page
+from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
+from tests.support.setups import CONFIGS
 
 KNOWN = [
     "scale,component=EXX,axis=X,k=30", "backlash,component=EXX,axis=X,B=3",
@@ -57,6 +60,19 @@ def test_a_zero_that_moved_is_not_written_into_the_model() -> None:
     assert done.model.hash == known().hash
     assert done.reason == "nothing_missing"
     (event,) = done.events
+    assert event.size == pytest.approx(JUMP_UM, abs=0.3)
+    assert event.time_s == pytest.approx(at, abs=60.0)
+
+
+def test_a_level_that_was_touched_is_no_heat_of_the_spindle() -> None:
+    """An ambient drift of 34 µrad/K had been written for a step while the air moved by 0.04 K."""
+    roll = "polynomial_position,component=EAX,axis=X,degrees=[1],c1=12"
+    mill = CONFIGS / "machines" / "vertical-mill.toml"
+    m, at = jumped(rtec.simulate(mill, "level", axis="X", setup={"about": "A"}, effects=[roll], seed=4).measurement)
+    model = Model(m.machine, (effect_from_text(roll, m.machine),), name="known")
+    done = improve(model, [m], draws=50)
+    (event,) = done.events
+    assert done.model.hash == model.hash
     assert event.size == pytest.approx(JUMP_UM, abs=0.3)
     assert event.time_s == pytest.approx(at, abs=60.0)
 
