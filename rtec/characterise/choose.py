@@ -444,7 +444,7 @@ def completed(
         other, there = with_plain(fewer)
         if one_standard_error(table.errors(other), table.errors(chosen)):
             kept, chosen, steps = fewer, other, there
-    return _judged(table, chosen, steps)
+    return _judged(table, _by_own_sensors(table, chosen, []), steps)
 
 
 def _shown_by_length(one: TermCandidate, files: int) -> bool:

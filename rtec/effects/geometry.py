@@ -317,7 +317,7 @@ class AngularMotion(Straightness):
 
     about: ClassVar[About] = About(
         title="Angular error motion (Abbe error with its arm)",
-        equation="e = Σ c_i·P_i(u), an angle; degrees 2 and 3, or 1, 2, 1 and 2; times the arm at the tip",
+        equation="e = Σ c_i·P_i(u), an angle; degrees 2 and 3, or 2, or 1 and 2; times the arm at the tip",
         typical="2-50 µrad, arms 0.1-1 m",
         seen_by=("laser_angular", "level", "grid_encoder", "tool_tip"),
         source="ISO 230-1, [XT Table 4]",
@@ -329,7 +329,8 @@ class AngularMotion(Straightness):
         reveal="angular laser or level along the axis",
     )
     feeds: ClassVar[tuple[Kind, ...]] = ("tilt", "roll")
-    forms: ClassVar[tuple[tuple[int, ...], ...]] = ((2, 3), (1,), (2,), (1, 2))
+    forms: ClassVar[tuple[tuple[int, ...], ...]] = ((2, 3), (2,), (1, 2))
+    """One that grows evenly is a guide's curvature or twist."""
     typical_size: ClassVar[float] = 10.0
     effect: Literal["angular_motion"] = "angular_motion"  # type: ignore[assignment]
 
