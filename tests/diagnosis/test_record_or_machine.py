@@ -218,20 +218,42 @@ GROWTH = (
 )
 
 
+@cache
+def drifts() -> tuple[Measurement, Model]:
+    """Five probes on an arbor in the spindle of a mill that warms up and cools down, and what is known of it."""
+    mill = CONFIGS / "machines" / "vertical-mill.toml"
+    changes = {"noise": {"white_um": 0.2}}
+    made = rtec.simulate(
+        mill, "spindle_drift", setup={"probe": PROBES}, effects=GROWTH, seed=3, changes=changes
+    ).measurement
+    good = replace(made, run=1 + (8 * np.arange(len(made))) // len(made))
+    return good, Model(good.machine, tuple(effect_from_text(text, good.machine) for text in GROWTH), name="known")
+
+
 @pytest.mark.parametrize("columns", [("reading_x1_um", "reading_y1_um"), ("reading_y2_um", "reading_z_um")])
 def test_two_probes_that_were_exchanged_are_named(columns: tuple[str, str]) -> None:
     """A tilt of the column had been found in place of the first pair. Oracle: the columns that were exchanged."""
-    mill = CONFIGS / "machines" / "vertical-mill.toml"
-    made = rtec.simulate(
-        mill, "spindle_drift", setup={"probe": PROBES}, effects=GROWTH, seed=3, changes={"noise": {"white_um": 0.2}}
-    )
-    good = made.measurement
-    model = Model(good.machine, tuple(effect_from_text(text, good.machine) for text in GROWTH), name="known")
+    (good, model), (one, two) = drifts(), columns
     assert not [d for d in compare(model, [good]).doubts if d.fatal]
-    one, two = columns
     bad = replace(good, readings={**good.readings, one: good.readings[two], two: good.readings[one]})
     (doubt,) = [d for d in compare(model, [bad]).doubts if d.fatal]
-    assert (doubt.kind, f"with {one} and {two} of {bad.name} exchanged" in doubt.message) == ("swapped_readings", True)
+    assert doubt.kind == "swapped_readings"
+    assert f"with {one} and {two} of {bad.name} exchanged" in doubt.message
+
+
+def test_a_sensor_that_fell_off_while_its_part_warms_on_is_named() -> None:
+    """It shows the room from one reading to the next; a growth with the spindle's speed had been written for it."""
+    made, model = drifts()
+    hours = (made.time_s - made.time_s[0]) / 3600.0
+    shown = 20.0 + 14.0 * (1.0 - np.exp(-hours / 40.0)) + np.random.default_rng(7).normal(0.0, 0.03, len(made))
+    growth = -1.5 * (shown - made.channels["T_spindle"])
+    readings = {**made.readings, "reading_z_um": made.readings["reading_z_um"] + growth}
+    good = replace(made, channels={**made.channels, "T_spindle": shown}, readings=readings)
+    assert not [d for d in compare(model, [good]).doubts if d.fatal]
+    fell = replace(good, channels={**good.channels, "T_spindle": np.where(good.run >= 5, 20.5, shown)})
+    (doubt,) = [d for d in compare(model, [fell]).doubts if d.fatal]
+    assert doubt.kind == "lost_sensor"
+    assert f"T_spindle of {fell.name} unknown from run 5 on" in doubt.message
 
 
 def fallen(m: Measurement, name: str, run: int) -> Measurement:

@@ -19,6 +19,7 @@ from rtec.estimation.columns import ordered
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings, Series
 from rtec.machine import Axis
+from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.wording import significant, sizes
 
@@ -50,6 +51,8 @@ BEYOND = 0.05
 ABOVE, NEAR_FIT, HALF = 1.5, 1.15, 0.5
 """A model holds no longer where its residual is this many times what it usually is; an edit reaches that within the
 second factor. A sensor shows its fault where at least this share of a jump is not the machine's."""
+FELL = 8.0
+"""A sensor that came off jumps by this many times its largest other step between two readings."""
 HELD = 2
 """A sensor may be called lost only where the model met at least this many runs before."""
 
@@ -110,6 +113,12 @@ def _swapped(pairs: Iterable[tuple[str, str]]) -> Replaced:
     for one, two in pairs:
         out |= {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}  # type: ignore[misc]
     return out
+
+
+def _fell(m: Measurement, name: str, run: float) -> bool:
+    """Whether a sensor jumps from one reading to the next, into a run, far more than anywhere else: it came off."""
+    steps, at = np.abs(np.diff(m.channels[name])), int(np.argmax(m.run == run)) - 1
+    return bool(steps[at] > FELL * max(np.delete(steps, at).max(initial=0.0), REAL["degc"]))
 
 
 def _celsius(fahrenheit: Floats) -> Floats:
@@ -486,9 +495,10 @@ class Edits:
                 most = all(o * np.sign(share) < abs(share) for o in others)
                 if abs(jump) < REAL["degc"] or abs(share) > 1.0 / HALF or not most:
                     continue
-                left, alike, off = self._off(i, name, run >= runs[first], runs[first:], whole)
+                fell = _fell(m, name, runs[first])
+                left, alike, off = self._off(i, name, run >= runs[first], runs[first:], whole, sloped=fell)
                 unmoved = -off / jump
-                shows = HALF < unmoved[0] < 1.0 / HALF and float(np.median(unmoved)) > HALF
+                shows = HALF < unmoved[0] < 1.0 / HALF and (fell or float(np.median(unmoved)) > HALF)
                 if shows and left < min(NEAR_FIT * usual, FAR_LESS * alike):
                     yield Edit(
                         left,
@@ -527,7 +537,7 @@ class Edits:
         return 0
 
     def _off(
-        self, source: int, name: str, since: NDArray[np.bool_], runs: Floats, whole: Floats
+        self, source: int, name: str, since: NDArray[np.bool_], runs: Floats, whole: Floats, *, sloped: bool
     ) -> tuple[float, float, Floats]:
         """Residual if a sensor was off by an amount of its own in each of some runs, and these amounts, K.
 
@@ -539,10 +549,11 @@ class Edits:
             since: readings of these runs, (m,).
             runs: the last runs of the file.
             whole: residual, (m,).
+            sloped: whether the amount may also change evenly within each run, as a part warms on without its sensor.
         """
         m, state = self.readings.measurements[source], self.readings.states[source]
 
-        def by(off: NDArray[np.bool_]) -> Floats:
+        def by(off: Floats) -> Floats:
             changed = self.left({name: lambda s: s.channels[name] + (off if s is state else 0.0)})
             return np.zeros(len(since)) if changed is None else whole - changed
 
@@ -552,12 +563,16 @@ class Edits:
             return floor.pooled(self.readings, rms, self.scale), errors
 
         ends = [float(m.time_s[m.run <= r].max()) for r in (float(runs[0]) - 1.0, *runs)]
-        own = [by((m.time_s > begin) & (m.time_s <= end)) for begin, end in itertools.pairwise(ends)]
-        alike = np.where(since, by(np.ones(len(m), dtype=np.bool_)), 0.0)
+        within = [(m.time_s > begin) & (m.time_s <= end) for begin, end in itertools.pairwise(ends)]
+        own = [by(some.astype(np.float64)) for some in within]
+        if sloped:
+            middle = [some * (m.time_s - m.time_s[some].mean()) / max(np.ptp(m.time_s[some]), 1.0) for some in within]
+            own += [by(evenly) for evenly in middle]
+        alike = np.where(since, by(np.ones(len(m))), 0.0)
         flat = floor.cleaned(self.readings, np.stack([*own, alike, whole], axis=1))
         read = flat[:, -1]
         (one, off), (other, _) = left(flat[:, :-2]), left(flat[:, -2:-1])
-        return one, other, off
+        return one, other, off[: len(within)]
 
     def _within(self, by_s: float) -> "Edits":
         """The same with the readings at which moved channels are known."""
