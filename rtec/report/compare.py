@@ -95,13 +95,18 @@ def _lead(c: Comparison) -> str:
 
 def _badness(i: Compared) -> tuple[bool, float]:
     """Key for sorting: worse than no model first, then residual over noise."""
-    return (i.explained or 0.0) >= 0.0, -i.left.rms / max(i.floor, 1e-9)
+    return not _worse(i), -i.left.rms / max(i.floor, 1e-9)
+
+
+def _worse(i: Compared) -> bool:
+    """Whether the error is larger than without a model, by more than noise makes it."""
+    return (i.explained or 0.0) < 0.0 and i.left.rms > SURELY * i.floor
 
 
 def _verdict(first: Compared, c: Comparison) -> str:
     unit = ERROR_UNITS[first.unit]
     of = f"{_name(first, c)}: the" if len(c.items) > 1 else "The"
-    worse = f" {sentence(WORSE)}" if (first.explained or 0.0) < 0.0 else ""
+    worse = f" {sentence(WORSE)}" if _worse(first) else ""
     left, measured, floor = sizes(first.left.rms, first.measured.rms, first.floor)
     said = (
         f"{of} residual is {left} {unit} of {measured} {unit} measured (root mean square); the noise floor is "
@@ -171,7 +176,7 @@ def _table(c: Comparison) -> Section:
     ]
     head = ("measurement", "readings", "measured", "predicted", "residual", "noise floor", "explained", "unit")
     caption = f"Root mean square / largest. {EXPLAINED}"
-    bad = [f"{_name(i, c)}: {WORSE}." for i in c.items if (i.explained or 0.0) < 0.0]
+    bad = [f"{_name(i, c)}: {WORSE}." for i in c.items if _worse(i)]
     none = [
         f"{_name(i, c)}: nothing to explain; the readings are hardly more than noise."
         for i in c.items

@@ -122,6 +122,19 @@ def test_both_ways_apart_everywhere_is_said_plainly() -> None:
     )
 
 
+def test_a_quiet_reading_that_noise_makes_no_better_hides_no_bad_one() -> None:
+    """Oracle: of two measurements one has an error of 0.02 µm less than the model says, the other one of 8 µm."""
+    small = "scale,component=EZZ,axis=Z,k=0.4"
+    known = Model(small_machine(), effects(SCALE, small), name="known")
+    quiet, loud = laser([], 21, along="Z"), laser([SCALE.replace("k=40", "k=120")], 22)
+    c = compare(known, [quiet, loud])
+    item = next(i for i in c.items if i.name == quiet.name)
+    worse = replace(item, explained=-0.3)
+    page = compare_page(replace(c, items=(worse, *(i for i in c.items if i is not item))), figures=False)
+    assert page.lead.startswith(f"{loud.name}: the residual is")
+    assert "larger than without one" not in page.lead + str(page.sections)
+
+
 def test_play_that_changes_along_the_way_is_no_gap_everywhere() -> None:
     """Oracle: a play of 5 µm on half of the way, put in by hand."""
     m = laser([SCALE], 8)
