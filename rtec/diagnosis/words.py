@@ -186,13 +186,15 @@ def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, hel
     if d.verdict == "nothing_missing" and d.out_of_date and REFIT * rms < d.refit:
         answer = (
             f"No effect is missing; the noise floor is {number(d.noise_floor)} {ERROR_UNITS[d.unit]}{drifts(d)} "
-            "(`rtec improve` refits the numbers that are out of date)."
+            f"{REFITS}."
         )
         return replace(d, sentence=" ".join([text, answer, *asked]))
     order = (text, sentence(d.sentence)) if d.mostly_changed else (sentence(d.sentence), text)
     return replace(d, sentence=" ".join(order))
 
 
+REFITS = "(`rtec improve` refits them)"
+"""Advice of a diagnosis; `rtec improve` itself does not give it."""
 MOST_CHANGED = 4
 FOREIGN = re.compile(r"(The model leaves )(.+? of .+?)(, and left .+)", re.DOTALL)
 
@@ -267,7 +269,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         above_all = f", above all {_moved(moved)}" if moved is not None else ""
         return (
             f"no effect is missing, but the model's numbers are out of date{above_all}: {levels}; refitted to these "
-            f"readings the residual is {number(d.refit)} {unit} (`rtec improve` refits them){slow}"
+            f"readings the residual is {number(d.refit)} {unit} {REFITS}{slow}"
         )
     limit = ""
     if math.isfinite(smallest):

@@ -14,7 +14,7 @@ from rtec.diagnosis.extend.add import CLEARLY, Added, not_determined
 from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import NEAREST, SHAPE, Improved
 from rtec.diagnosis.extend.record_event import words
-from rtec.diagnosis.words import drifts, of_changes, of_sensors, of_warmth, sentence, spoken
+from rtec.diagnosis.words import REFITS, drifts, of_changes, of_sensors, of_warmth, sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
 from rtec.report.figures import OFF, ON, as_png, stacked
@@ -256,7 +256,7 @@ def _last_verdict(r: Improved) -> str:
     """
     last = r.diagnoses[-1]
     if r.reason not in ("no_gain", "narrow_range") or not last.findings:
-        return sentence(_beside(r, last.sentence))
+        return sentence(_beside(r, last.sentence.replace(f" {REFITS}", "")))
     return f"Not added: {last.findings[0].label}, which `rtec diagnose` names first."
 
 

@@ -219,6 +219,13 @@ def test_an_end_far_above_the_noise_is_not_called_the_end_of_what_is_missing() -
     assert "no effect is missing that these readings could show" in ended(1.5)
 
 
+def test_improve_does_not_advise_improve() -> None:
+    result = improve(model_of(SCALE, OLD), [laser([SCALE, OLD], 3)])
+    said = replace(result.diagnoses[-1], sentence="The numbers are out of date (`rtec improve` refits them).")
+    page = improved_page(replace(result, steps=(), diagnoses=(said,), reason="nothing_missing"), figures=False)
+    assert page.lead.endswith("The numbers are out of date.")
+
+
 def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: no fall of the error is worth an effect here, so that what is named is not what ought to be added."""
     monkeypatch.setattr("rtec.diagnosis.extend.improve.gains", lambda *_: False)
