@@ -10,6 +10,7 @@ import copy
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,8 +128,12 @@ class HeldOutTable:
         self.of_several = [i for i, c in enumerate(self.columns) if len(c) != 1]
         self.shown, self.copies = _shown(normal, self.columns, offered)
         self.usable = self.shown & offered
-        self.drives = [drive(c.term.effect) for c in candidates]
         self._known: dict[tuple[int, ...], Floats] = {}
+
+    @cached_property
+    def drives(self) -> list[Drive]:
+        """What drives each candidate."""
+        return [drive(c.term.effect) for c in self.candidates]
 
     def errors(self, chosen: Sequence[int]) -> Floats:
         """Sum of squares of each held-out fold over the freedom of all readings, (folds,): parts of the mean square."""
