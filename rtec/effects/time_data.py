@@ -119,7 +119,7 @@ class MissedCounts(AxisEffect):
         ),
         reveal="check of the index pulse; move home again",
     )
-    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "straightness", "roll", "tilt")
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "roll", "tilt")
     driven_by: ClassVar[tuple[str, ...]] = ("time_s",)
     effect: Literal["missed_counts"] = "missed_counts"
 

@@ -13,6 +13,7 @@ from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import GROWTHS, PITCH_MM, Cyclic, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
 from rtec.effects.thermal import AxisExpansion, BedBending, ColumnTilt
+from rtec.effects.time_data import MissedCounts
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import (
@@ -109,13 +110,14 @@ def library(
 
 
 def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> bool:
-    """Whether an effect is an angle that grows linearly, and shifts read it at one lever arm only.
+    """Whether an effect is an angle that grows linearly or jumps, and shifts read it at one lever arm only.
 
     These readings cannot distinguish it from a scale, a squareness or a straightness; each of them is a candidate too.
     An angle by heat is none for shifts at several arms either: it would stand for a screw that grows, whose temperature
-    nobody recorded. Where a sensor of the axis was recorded, the screw is a candidate by that.
+    nobody recorded. Where a sensor of the axis was recorded, the screw is a candidate by that. Nor is an angle that
+    jumps: where shifts are read, the set-up jumped.
     """
-    grows = 1 in getattr(effect, "degrees", ()) or isinstance(effect, BedBending | AxisExpansion)
+    grows = 1 in getattr(effect, "degrees", ()) or isinstance(effect, BedBending | AxisExpansion | MissedCounts)
     if not grows or component_unit(seen.name) != "urad":
         return False
     arms = readings.arms(seen.name)
@@ -123,7 +125,7 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
     shifts = all(s.unit == "um" for s in readings.series if arms[s.part].any())
     one_arm = float(np.ptp(np.concatenate(mine))) < ONE_ARM * float(np.abs(np.concatenate(mine)).max())
     by_others = isinstance(effect, AxisExpansion) and not on_part(effect.axis, [effect.sensor])
-    return shifts and (isinstance(effect, BedBending) or by_others or one_arm)
+    return shifts and (isinstance(effect, BedBending | MissedCounts) or by_others or one_arm)
 
 
 def visible(readings: Readings, there: Sequence[FittedEffect] | None = ()) -> list[VisibleComponent]:
