@@ -36,10 +36,12 @@ $(STAMP): $(RUN) requirements.lock
 demo: $(RUN)  ## a machine warms up for a day, uncorrected and corrected; writes out/demo
 	$(BIN)/rtec demo
 
-# A test on the real clock may fail beside others on a busy PC: what failed is judged once more, alone.
+# A test on the real clock may fail beside others on a busy PC: its file is judged once more, alone, from its beginning,
+# as the tests of a story go on from each other.
+FAILED := import json; print(*sorted({t.partition("::")[0] for t in json.load(open(".pytest_cache/v/cache/lastfailed"))}))
 test: $(STAMP)  ## the tests
 	$(BIN)/python -m pytest -n auto --dist loadgroup || \
-	  { [ $$? -eq 1 ] && $(BIN)/python -m pytest --last-failed --last-failed-no-failures none --exitfirst; }
+	  { [ $$? -eq 1 ] && files=$$($(BIN)/python -c '$(FAILED)') && [ -n "$$files" ] && $(BIN)/python -m pytest --exitfirst $$files; }
 
 lint: $(STAMP)  ## format, lint, types, import layers
 	$(BIN)/ruff format --check .

@@ -12,7 +12,7 @@ from rtec.effects.base import component_kind
 from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.source import Source, reads, thinned, varying_sensors
 from rtec.estimation.gram.stream import gather
-from rtec.estimation.visible import VisibleComponent, read_directly, visible_components
+from rtec.estimation.visible import VisibleComponent, lines_shown, read_directly, visible_components
 from rtec.machine import Machine
 
 Floats = NDArray[np.float64]
@@ -84,9 +84,10 @@ def screen(
     sensors, unused = varying_sensors(few)
 
     shown = read_directly([s.measurement for s in few])
+    direct = shown.keys() | lines_shown([s.measurement for s in few])
 
     def known_direct(candidates: Iterable[TermCandidate]) -> list[TermCandidate]:
-        return [replace(c, direct=c.component in shown) for c in candidates]
+        return [replace(c, direct=c.component in direct) for c in candidates]
 
     shapes = known_direct(c for s in seen for c in (*geometry(s, few), *extended(s, few)))
     # Of shapes that are the same at these readings the first counts: a straight line comes under its own name first.

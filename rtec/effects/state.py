@@ -47,7 +47,7 @@ class State:
         time_s: (n,), not falling.
         channels: arrays (n,) by channel name: `x`, `T_spindle`, `spindle_rpm`; a direction `d_x` and a distance
             since reversal `s_x` that are not given follow from the order of the positions. Velocities and
-            accelerations are given, or zero where `at_rest`, or missing.
+            accelerations are given, or zero where `at_rest` or where the axis has one position throughout, or missing.
         reference_degc: temperature at which a temperature effect is zero.
         dead_band_mm: by axis name, where it differs from the machine's.
         at_rest: the axes are at rest at all instants; velocities and accelerations that are not given are zero.
@@ -87,8 +87,12 @@ class State:
         if name in self.channels or name == "time_s" or axis is None:
             return name in self.channels or name == "time_s"
         if name in (axis.velocity_channel, axis.acceleration_channel):
-            return self.at_rest
+            return self.at_rest or self._still(axis)
         return name != axis.channel and axis.channel in self.channels
+
+    def _still(self, axis: Axis) -> bool:
+        """Whether an axis was recorded at one place throughout: it did not move."""
+        return axis.channel in self.channels and not np.ptp(self.channels[axis.channel]) > 0.0
 
     def _following(self, axis: Axis, name: str) -> Floats:
         if name in (axis.velocity_channel, axis.acceleration_channel):

@@ -116,9 +116,8 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
     """Component errors that a reading shows directly, not through a lever arm; and whether a file names them.
 
     These are components that a file names. Where it names none, they are every shift (or every angle, of readings in
-    µrad) of an axis that moved, or of a fixed link, that moves a reading one to one wherever the axes are; and the
-    angle of an axis' line, of instruments that are made to show it. An instrument that shows no shift in this way (a
-    ball bar, whose direction turns) shows all that it sees.
+    µrad) of an axis that moved, or of a fixed link, that moves a reading one to one wherever the axes are. An
+    instrument that shows none in this way (a ball bar, whose direction turns) shows all that it sees.
     """
     machine = measurements[0].machine
     out: dict[str, bool] = {}
@@ -135,10 +134,16 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
             alike = np.array([u == component_unit(name) for u in units])
             if (one[:, machine.components.index(name)] & alike).any():
                 shown.append(name)
-        lines = [name for name in seen if component_kind(name, machine) == "axis_angle"]
-        for name in [*shown, *(lines if m.instrument.name in Squareness.about.seen_by else [])] if shown else seen:
+        for name in shown or seen:
             out.setdefault(name, False)
     return out
+
+
+def lines_shown(measurements: Sequence[Measurement]) -> set[str]:
+    """Angles of axes' lines that measurements see with an instrument that is made to show a squareness."""
+    machine = measurements[0].machine
+    made = [m for m in measurements if m.instrument.name in Squareness.about.seen_by]
+    return {c for m in made for c in _through_arms(m, machine) if component_kind(c, machine) == "axis_angle"}
 
 
 def moved_between(measurements: Sequence[Measurement]) -> set[str]:
