@@ -74,10 +74,10 @@ class State:
             return self.channels[name]
         if name == "time_s":
             return self.time_s
-        axis = next((a for a in self.machine.axes if name in a.moving_channels), None)
-        if axis is None or not self.has(name):
-            raise ModelError(f"channel {name!r} is not in this data{self._way_on(name, axis)}")
         if name not in self._cache:
+            axis = next((a for a in self.machine.axes if name in a.moving_channels), None)
+            if axis is None or not self.has(name):
+                raise ModelError(f"channel {name!r} is not in this data{self._way_on(name, axis)}")
             self._cache[name] = self._following(axis, name)
         return self._cache[name]
 

@@ -379,9 +379,8 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
         out += [on_its_circle(q, q.circle) for q in (p, *p.others) if q.circle is not None]
     if not d.findings:
         return [*out, Section("Candidates", ["Noise alone would give as good a fit as the best of them."])]
-    figure = None
-    if figures:
-        shown = d.findings[:SHOWN]
+    figure, shown = None, d.findings[:SHOWN]
+    if figures and any(f.heldout_drop >= NO_BETTER for f in shown):  # else there is no bar to look at
         rows = [(n, f.heldout_drop, f.group, _short(d, f)) for f, n in zip(shown, labels(shown), strict=True)]
         figure = Figure("rivals.png", rivals(rows), "Fall of the held-out error with each candidate.")
     return [*out, Section("Candidates, best first", _candidate_words(d), _candidates(d), figure)]

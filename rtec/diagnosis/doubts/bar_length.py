@@ -12,14 +12,14 @@ from rtec.wording import ERROR_UNITS, number, sizes
 Floats = NDArray[np.float64]
 
 FEWEST_RUNS = 4
-"""Of fewer circles nothing is said: any line joins so few."""
+"""Fewest circles that tell a length which changes from a drift."""
 MOST_OF = 0.5
 """With a length of its own for each circle the model leaves less than this share of what its refitted numbers leave; a
 temperature that explains the lengths leaves less than this share of them."""
-GROWS = 24e-3
-"""Expansion of aluminium, µm/(mm·K): a machine in which the circles grow faster than that is none."""
 NEAR = 1.5
-"""And at most this many times the noise."""
+"""With these lengths the model leaves at most this many times the noise."""
+GROWS = 24e-3
+"""Expansion of aluminium, µm/(mm·K): no machine grows faster."""
 
 
 def length_of_circles(judged: Judgement) -> Doubt | None:
@@ -51,7 +51,7 @@ def length_of_circles(judged: Judgement) -> Doubt | None:
     unit, spread = ERROR_UNITS[judged.unit], number(float(np.ptp(lengths)))
     message = (
         f"The circles differ in size by up to {spread} {unit} from run to run, which no recorded temperature and no "
-        f"number of the model explains: a ball bar warms up in the hand. With a length of its own for each circle the "
+        "number of the model explains: a ball bar warms up in the hand. With a length of its own for each circle the "
         f"model leaves {here} instead of {there} {unit}."
     )
     step = (

@@ -98,18 +98,12 @@ class Walk:
         return out
 
     def _channel(self, name: str) -> Floats:
-        """A whole channel; an axis that was not recorded is at zero, as in `State.positions_mm`.
-
-        Where an axis was recorded at only one place, velocity and acceleration are zero, too.
-        """
+        """A whole channel; an axis that was not recorded stands still at zero, as in `State.positions_mm`."""
         state = self._state
         if name in state.channels:
             return state.value(name)
         for axis in state.machine.axes:
-            recorded = state.channels.get(axis.channel)
-            if name not in axis.moving_channels or (recorded is not None and np.ptp(recorded) > 0.0):
-                continue
-            if recorded is None or name in (axis.velocity_channel, axis.acceleration_channel):
+            if name in axis.moving_channels and axis.channel not in state.channels:
                 return np.full(len(state), FAR_MM if name == axis.since_reversal_channel else 0.0)
         return state.value(name)
 
