@@ -46,6 +46,8 @@ from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings, faults_of
+from rtec.estimation.slipped import STEP as APART
+from rtec.estimation.slipped import slipped
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
 from rtec.estimation.warmth import EXPANDS, SURE
@@ -182,15 +184,15 @@ def _of_wrong_scale(model: Model, given: Clean, wanted: AskedEffects | None, lea
 
 
 def _without_moved_zeros(given: Clean) -> tuple[Clean, Warn | None]:
-    moved = moved_zeros(given.readings)
-    if not moved:
+    runs, slips = moved_zeros(given.readings), slipped(given.readings)
+    if not runs and not slips:
         return given, None
     off = np.full(len(given.readings), np.nan)
-    for m in moved:
+    for m in (*runs, *slips):
         off[m.readings] = m.by
-    were = "it was" if len(moved) == 1 else "they were"
-    text = f"{'; '.join(m.message.rstrip('?') for m in moved)} ({were} left out of the fit)"
-    return given.rejecting(off, "in a run whose zero has moved"), Warn("moved_zero", text, STEP)
+    were = "what follows was" if slips else "it was" if len(runs) == 1 else "they were"
+    text = f"{'; '.join(m.message.rstrip('?') for m in (*runs, *slips))} ({were} left out of the fit)"
+    return given.rejecting(off, "whose zero has moved"), Warn("moved_zero", text, APART if slips else STEP)
 
 
 def _fit(

@@ -177,17 +177,19 @@ def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, hel
         return d
     before, after = two_numbers(d.rms_residual, rms)
     unit = ERROR_UNITS[d.unit]
-    text = f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {unit}."
-    text += of_warmth(changed) + of_sensors(changed)
+    warmed = any(c.warmer is not None and c.warmer.effect for c in changed)
+    only = d.verdict == "nothing_missing" and not warmed and d.out_of_date and REFIT * rms < d.refit
+    text = (
+        f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {unit}"
+        f"{f' {REFITS}' if only else ''}." + of_warmth(changed) + of_sensors(changed)
+    )
     d = replace(d, changed=tuple(changed), changed_rms=rms, changed_held_out=held_out)
     asked = of_files([b.message for b in d.doubts if b.kind == "other_machine"])
-    if d.verdict == "nothing_missing" and any(c.warmer is not None and c.warmer.effect for c in changed):
+    if d.verdict == "nothing_missing" and warmed:
         return replace(d, verdict="undecided", sentence=" ".join([text, *asked]))
-    if d.verdict == "nothing_missing" and d.out_of_date and REFIT * rms < d.refit:
-        answer = (
-            f"No effect is missing; the noise floor is {number(d.noise_floor)} {ERROR_UNITS[d.unit]}{drifts(d)} "
-            f"{REFITS}."
-        )
+    if only:
+        slow = drifts(d) if d.judged is not None and d.judged.drift < rms else ""
+        answer = f"No effect is missing; the noise floor is {number(d.noise_floor)} {unit}{slow}."
         return replace(d, sentence=" ".join([text, answer, *asked]))
     order = (text, sentence(d.sentence)) if d.mostly_changed else (sentence(d.sentence), text)
     return replace(d, sentence=" ".join(order))
@@ -600,10 +602,14 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
     return f"{f.label}, {', '.join(parts)}" if parts else f"{f.label} #{1 + same.index(f)}"
 
 
+WITHOUT = {"builds_up": "at once"}
+"""Words of an argument that is false, where "no" and its name are no English."""
+
+
 def _argument(key: str, value: object) -> str:
     word = key.replace("_", " ")
     if isinstance(value, bool) or value is None:
-        return word if value else f"no {word}"
+        return word if value else WITHOUT.get(key, f"no {word}")
     if isinstance(value, list):
         if key == "degrees":
             return f"{'degree' if len(value) == 1 else 'degrees'} {' and '.join(map(str, value))}"

@@ -324,7 +324,7 @@ class AngularMotion(Straightness):
         confusions=(
             Confusion("polynomial_position", "seen at one arm only, it is a positioning error", "a second offset"),
             Confusion("straightness", "seen at one arm only, it is a straightness error", "a second offset"),
-            Confusion("cross_talk", "an angle that changes with another axis", "three positions of that axis"),
+            Confusion("cross_talk", "an angle that changes with another axis", "three positions of the other axis"),
         ),
         reveal="angular laser or level along the axis",
     )

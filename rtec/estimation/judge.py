@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 
 CANCELS = 2.0
 """A change of one number that is this many times the residual is taken back by another number."""
+QUIETEST = 1e-3
+"""Least noise, µm or µrad, by which residuals are counted: exact readings have none."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ class Judgement:
             return np.ones(len(self.readings.series))
         if self.scales is not None:
             return np.array(self.scales)
-        return 1.0 / np.maximum([f.value for f in self.floors], 1e-12)
+        return 1.0 / np.maximum([f.value for f in self.floors], QUIETEST)
 
     def pooled(self, left: Floats) -> float:
         """Root mean square of residuals, (m,)."""

@@ -359,3 +359,31 @@ def test_two_runs_cold_and_warm_are_too_few_to_say_that_nothing_is_missing(seed:
     else:
         assert d.verdict == "undecided"
         assert "2 runs are too few to say what changed between them; axis_expansion of EZZ by a temp" in d.sentence
+
+
+def jumps(m: Measurement, model: Model) -> list[Doubt]:
+    return [d for d in compare(model, [m]).doubts if d.kind == "moved_zero"]
+
+
+def test_a_probe_that_slips_is_named_with_its_instant() -> None:
+    """It had been a slow change for which more temperatures were asked. Oracle: the jump that was added."""
+    good, model = drifts()
+    at = len(good) // 2
+    jump = np.where(np.arange(len(good)) < at, 0.0, -4.0)
+    slip = replace(good, readings={**good.readings, "reading_y1_um": good.readings["reading_y1_um"] + jump})
+    (doubt,) = jumps(slip, model)
+    assert doubt.fatal
+    by = re.search(r"reading_y1_um jumps by ([0-9.]+) µm", doubt.message)
+    assert by is not None
+    assert float(by[1]) == pytest.approx(4.0, abs=0.8)  # with the noise of two readings
+    assert f"at {good.time_s[at]:.0f} s" in doubt.message
+    fit = rtec.fit(slip.machine, [slip])
+    assert any(w.code == "moved_zero" and "jumps by" in w.text for w in fit.warnings)
+    loaded = np.where(np.arange(len(good)) < at, 0.0, 400.0)
+    assert not jumps(replace(slip, channels={**slip.channels, "load_kg": loaded}), model)
+    pause = np.where(np.arange(len(good)) < at, 0.0, 3600.0)
+    assert not jumps(replace(slip, time_s=slip.time_s + pause), model)
+    spike = np.where(np.arange(len(good)) == at, -4.0, 0.0)
+    assert not jumps(
+        replace(good, readings={**good.readings, "reading_y1_um": good.readings["reading_y1_um"] + spike}), model
+    )

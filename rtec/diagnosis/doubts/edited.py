@@ -187,10 +187,10 @@ def _runs_decide(judged: Judgement, found: Edit) -> bool:
     runs = sum(int(s.run[-1]) + 1 for s in changed)
     if runs < FEWEST_RUNS:
         return False
-    from scipy.stats import f
+    from scipy.special import fdtri
 
     before, behind = squares(judged.left) - inside, max(squares(after) - within, 1e-300)
-    return bool((before / behind - 1.0) * (runs - 2) > f.isf(BY_CHANCE, 1, runs - 2))
+    return bool((before / behind - 1.0) * (runs - 2) > fdtri(1, runs - 2, 1.0 - BY_CHANCE))
 
 
 def _run_columns(readings: Readings, series: Series, *, sloped: bool) -> Floats:

@@ -24,6 +24,8 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series
+from rtec.estimation.slipped import STEP as APART
+from rtec.estimation.slipped import slipped
 from rtec.estimation.two_levels import STEP as STATES
 from rtec.estimation.two_levels import two_levels
 from rtec.estimation.wrong_scale import odd_scales
@@ -79,6 +81,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
         found.append(bar)
     step, levels = f"{STEP[0].upper()}{STEP[1:]}.", [] if found else _levels(judged)
     found += levels or [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
+    found += _slipped(judged)
     step = f"{NEXT[0].upper()}{NEXT[1:]}."
     found += [Doubt("end_targets", f"{ends.message}.", step, fatal=True) for ends in judged.given.ends]
     if not found:
@@ -100,6 +103,16 @@ def _levels(judged: Judgement) -> list[Doubt]:
     for levels in two_levels(judged.readings, left):
         rest = judged.pooled(floor.cleaned(judged.readings, left - levels.readings))
         out.append(Doubt("two_levels", levels.message, STATES, fatal=rest**2 < BETTER * judged.residual**2))
+    return out
+
+
+def _slipped(judged: Judgement) -> list[Doubt]:
+    """Series at rest that jump; no effect is named where the jump is most of the residual."""
+    left, out = floor.cleaned(judged.readings, judged.left), []
+    for moved in slipped(judged.readings):
+        rest = judged.pooled(floor.cleaned(judged.readings, left - moved.by * moved.readings))
+        fatal = rest**2 < BETTER * judged.residual**2
+        out.append(Doubt("moved_zero", moved.message, f"{APART[0].upper()}{APART[1:]}.", fatal=fatal))
     return out
 
 

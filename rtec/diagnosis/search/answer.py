@@ -52,8 +52,8 @@ Floats = NDArray[np.float64]
 DECIDED = 0.99
 """A number has no standard error where the readings determine a smaller share of it than this by themselves."""
 MOSTLY_NAMED = 0.5
-"""Where what is named removes this share of the mean square on held-out runs, a file that the model met far worse than
-those of its fit is asked about in one sentence: its reason may be just that."""
+"""Where what is named removes this share of the mean square on held-out runs, the answer does not ask of which machine
+a file is that the model meets far worse than those of its fit: what is named is the reason."""
 UNHEARD = 100.0
 """A standard error this many times the number and its usual size means that the number is not determined."""
 LOOKED_AT = 60
@@ -508,8 +508,8 @@ class _Answer:
         if verdict == "missing_effect" and len(words.indistinguishable(draft)) > 1:
             draft = replace(draft, verdict="ambiguous")
         fatal = [d.words for d in draft.doubts if d.fatal]
-        named = draft.named_drop >= MOSTLY_NAMED
-        foreign = [d.message if named else d.words for d in draft.doubts if d.kind == "other_machine"]
+        asks = draft.named_drop < MOSTLY_NAMED  # a named effect answers the question whose file it is
+        foreign = [d.words for d in draft.doubts if d.kind == "other_machine"] if asks else []
         return words.with_sentence(draft, smallest, fatal, foreign)
 
     def _member(self, t: Refitted) -> Member:

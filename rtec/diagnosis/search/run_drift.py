@@ -40,7 +40,7 @@ def run_drifts(readings: Readings, left: Floats) -> tuple[str, ...]:
 
 def _trend(series: Series, left: Floats) -> tuple[float, float] | None:
     """Change of the runs' means along a straight line in time, and its probability by noise alone."""
-    from scipy.stats import t as student
+    from scipy.special import stdtr
 
     runs = int(series.run[-1]) + 1
     if runs < FEWEST or bool((np.ptp(series.nuisance, axis=0) == 0.0).any() if series.nuisance.size else False):
@@ -53,7 +53,7 @@ def _trend(series: Series, left: Floats) -> tuple[float, float] | None:
     error = math.sqrt(max(float(np.sum((mean - line(time)) ** 2)) / free, 1e-24))
     change = float(line(time[-1]) - line(time[0]))
     slope = change / float(time[-1] - time[0])
-    chance = 2.0 * float(student.sf(abs(slope) * math.sqrt(spread) / error, free))
+    chance = 2.0 * float(stdtr(free, -abs(slope) * math.sqrt(spread) / error))
     return change, chance
 
 
@@ -72,7 +72,7 @@ def runs_differ(readings: Readings, left: Floats, scale: Floats) -> tuple[float,
     Returns:
         The largest of all series; None where the runs of no series differ, or the zero of each run is unknown.
     """
-    from scipy.stats import f as fisher
+    from scipy.special import fdtrc
 
     found: list[tuple[float, int]] = []
     for s, unit in zip(readings.series, scale, strict=True):
@@ -85,6 +85,6 @@ def runs_differ(readings: Readings, left: Floats, scale: Floats) -> tuple[float,
         mean = np.bincount(s.run, mine, minlength=runs) / size
         within = float(np.sum((mine - mean[s.run]) ** 2)) / (n - runs)
         between = float(np.sum(size * (mean - mine.mean()) ** 2)) / (runs - 1)
-        if fisher.sf(between / max(within, 1e-24), runs - 1, n - runs) < MEANS:
+        if fdtrc(runs - 1, n - runs, between / max(within, 1e-24)) < MEANS:
             found.append((math.sqrt(max(between - within, 0.0) * runs / n), runs))
     return max(found, default=None)

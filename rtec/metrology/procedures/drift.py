@@ -117,7 +117,7 @@ def approach(time_s: Floats, reading: Floats) -> Approach:
 
 def _better_pair(time_s: Floats, reading: Floats, least: float) -> TwoApproaches | None:
     """Two approaches if an F test prefers them to one; time constants from the sampling to the length of the record."""
-    from scipy.stats import f
+    from scipy.special import fdtrc
 
     duration, step = float(time_s[-1] - time_s[0]), float(np.median(np.diff(time_s)))
     taus = np.geomspace(step, duration, PAIR_POINTS)
@@ -134,7 +134,7 @@ def _better_pair(time_s: Floats, reading: Floats, least: float) -> TwoApproaches
     fit, ends = _refined(time_s, reading, taus[[quick[best], slow[best]]], (step, duration))
     rest = float(fit.residual @ fit.residual)
     free = max(len(reading) / fit.correlation - 5.0, 2.0)
-    if rest > 0.0 and float(f.sf((least / rest - 1.0) * free / 2.0, 2, free)) > SURE:
+    if rest > 0.0 and float(fdtrc(2, free, max(least / rest - 1.0, 0.0) * free / 2.0)) > SURE:
         return None
     start, *changes = (float(v) for v in fit.values)
     errors = ends * _log_errors(time_s, fit, ends)
@@ -196,9 +196,9 @@ def _linear(time_s: Floats, reading: Floats, tau_s: float) -> tuple[float, float
 
 def _interval(grid: Floats, left: Floats, least: float, free: float) -> tuple[float, float]:
     """Smallest and largest τ that the readings do not reject."""
-    from scipy.stats import f
+    from scipy.special import fdtri
 
-    inside = np.flatnonzero(left <= least * (1.0 + float(f.ppf(COVERS, 1, free)) / free) + 1e-12 * (least + 1e-12))
+    inside = np.flatnonzero(left <= least * (1.0 + float(fdtri(1, free, COVERS)) / free) + 1e-12 * (least + 1e-12))
     if not len(inside):  # the readings are on the curve to the last digit
         best = int(np.argmin(left))
         inside = np.array([best])

@@ -104,13 +104,13 @@ def _largest(residual: Floats, free: float) -> float:
 
 def _chance(between: float, free_between: int, within: float, free_within: int) -> float:
     """Probability of an F value at least this large from scatter alone."""
-    from scipy.stats import f
+    from scipy.special import fdtrc
 
     if between <= 0.0 or free_within <= 0:
         return 1.0
     if within <= 0.0:
         return 0.0
-    return float(f.sf(between / free_between / (within / free_within), free_between, free_within))
+    return float(fdtrc(free_between, free_within, between / free_between / (within / free_within)))
 
 
 def _drift_of(
