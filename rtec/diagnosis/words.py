@@ -602,6 +602,8 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
     return f"{f.label}, {', '.join(parts)}" if parts else f"{f.label} #{1 + same.index(f)}"
 
 
+AT = {"fixed_mm": "fixed at"}
+"""Words of an argument before its value, where its name alone is no English."""
 WITHOUT = {"builds_up": "at once"}
 """Words of an argument that is false, where "no" and its name are no English."""
 
@@ -614,7 +616,9 @@ def _argument(key: str, value: object) -> str:
         if key == "degrees":
             return f"{'degree' if len(value) == 1 else 'degrees'} {' and '.join(map(str, value))}"
         return f"{len(value)} {word.removesuffix(' mm')}"
-    return f"{word} {value:g}" if isinstance(value, float) else f"{word} {value}"
+    if not isinstance(value, float):
+        return f"{word} {value}"
+    return f"{AT.get(key, word.removesuffix(' mm'))} {value:g}{' mm' if key.endswith('_mm') else ''}"
 
 
 def accepted(findings: Sequence[Finding]) -> bool:

@@ -186,7 +186,7 @@ def test_a_rival_of_the_same_name_differs_in_its_name() -> None:
     one, other = (
         _effect("axis_expansion", component="EXX", axis="X", sensor="T_nut", fixed_mm=f) for f in (0.0, 260.0)
     )
-    assert alike(one, other, 0.99, 1.0).label == "axis_expansion(EXX, X, T_nut), fixed mm 260"
+    assert alike(one, other, 0.99, 1.0).label == "axis_expansion(EXX, X, T_nut), fixed at 260 mm"
     assert alike(other, one, 0.99, 1.0).label != alike(one, other, 0.99, 1.0).label
 
 

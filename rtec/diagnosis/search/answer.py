@@ -32,7 +32,7 @@ from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_effects, significant, untestable
 from rtec.diagnosis.search.one_feed import TEST, as_place, not_separated, of_places
 from rtec.diagnosis.search.prepared import Prepared
-from rtec.diagnosis.search.refit import NOTHING_MUCH, Refits, Refitted
+from rtec.diagnosis.search.refit import BETTER, NOTHING_MUCH, Refits, Refitted, predicts_better
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped
@@ -58,8 +58,6 @@ UNHEARD = 100.0
 """A standard error this many times the number and its usual size means that the number is not determined."""
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
-BETTER = 0.9
-"""An effect disputes the winner's place where its mean square on held-out runs is below this share of the winner's."""
 
 
 @dataclass(frozen=True)
@@ -236,7 +234,7 @@ class _Answer:
         if not sure and cosine(found.contribution(winner.number), found.contribution(other.number)) < APART:
             return False
         near = winner.log_evidence - other.log_evidence < FEIGNED
-        if 1.0 - other.drop < BETTER * (1.0 - winner.drop):
+        if predicts_better(other, winner):
             return sure or near
         sensors = set(self.readings.machine.sensor_names)
         one, two = (
@@ -393,7 +391,7 @@ class _Answer:
             slow = slow if best is first else unrecorded_heat(self.readings, best.fit, size_um)
         apart = first.drop >= NOTHING_MUCH and refits.beside_slopes(first) - odds >= SURE
         named = np.concatenate([t.columns for t in chain or [first]], axis=1)
-        apart |= unrecorded_heat(self.readings, last.fit, size_um, named) is None
+        apart |= unrecorded_heat(self.readings, last.fit, size_um, named) is None or refits.slopes_stay(last)
         return replace(slow, fatal=False) if slow is not None and apart else slow
 
     def _delayed(self, number: int) -> bool:

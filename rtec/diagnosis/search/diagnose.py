@@ -65,6 +65,7 @@ from rtec.diagnosis.search.unnamed import (
     by_own_sensors,
     curves_of,
     few_targets,
+    over_time,
     without_idle,
 )
 from rtec.diagnosis.usable import check_enough
@@ -659,11 +660,11 @@ class Search:
             return False, share, self._unknown(local)
         if top is None or top.log_evidence < best.log_evidence + WITHIN:
             bar = best.log_evidence + WITHIN if top is None else top.log_evidence + WITHIN
-            named = share >= LEAST or self._with_another(best, top) > bar
+            named = share >= LEAST or self._with_more(best, top) > bar
             return named, share, None if named or top is None else self._unknown(top)
         # A shape without a name is likelier. Where the effect is almost that shape, or is one of two that together are
         # likelier than the shape, its name is still the better answer.
-        named = share >= ADEQUATE or self._with_another(best, top) > top.log_evidence
+        named = share >= ADEQUATE or self._with_more(best, top) > top.log_evidence
         return named, share, None if named else self._unknown(top)
 
     def _of_few_targets(self, best: Refitted) -> bool:
@@ -690,6 +691,10 @@ class Search:
         local = max(places, key=lambda t: t.log_evidence, default=None)
         return local if local is not None and local.log_evidence > best.log_evidence + WITHIN else None
 
+    def _with_more(self, best: Refitted, top: Shaped | None) -> float:
+        """Log evidence of the best effect together with the best one, or with a drift, beside it."""
+        return max(self._with_another(best, top), self._with_drift(best, top))
+
     def _with_another(self, best: Refitted, top: Shaped | None) -> float:
         """Log evidence of the best effect together with the best one beside it; minus infinity where there is none.
 
@@ -697,6 +702,20 @@ class Search:
         """
         pairs = [t for t in self.refits.beside(best) if top is None or not far_better(top, t)]
         return max((t.log_evidence for t in pairs), default=-math.inf)
+
+    def _with_drift(self, best: Refitted, top: Shaped | None) -> float:
+        """Log evidence of the best effect beside a curve over the time, which is a drift.
+
+        Minus infinity where the shape does not read the time, or the effect does.
+        """
+        if top is None or self._of_time(self.candidates[best.number].effect):
+            return -math.inf
+        cost = best.fit.log_likelihood - best.log_evidence
+        found = [-math.inf]
+        for curve in over_time(top, self.readings):
+            fit = self.refits.fit(np.concatenate([self.prepared.base, best.columns, curve], axis=1))
+            found.append(fit.log_likelihood - cost - 0.5 * curve.shape[1] * math.log(len(self.readings)))
+        return max(found)
 
     def _pair(self, refitted: Sequence[Refitted]) -> tuple[tuple[Refitted, Refitted] | None, list[Refitted]]:
         """Two effects that are significant only together, and leave little residual.

@@ -31,7 +31,7 @@ from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.effects.cyclic import Cyclic
 from rtec.estimation.candidates import REAL, EffectCandidate
-from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, solve, without_nuisance
+from rtec.estimation.gls import ROUNDS, Fit, HeldOutGain, fit_columns, held_out_gain, solve, without_nuisance
 from rtec.estimation.noise import Whitener, find_noise, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.targets import WAVES, predicts_targets
@@ -72,11 +72,12 @@ def same_but_finer(one: Effect, other: Effect) -> bool:
     return mine == its
 
 
-def slow_slopes(noise: Whitener) -> Floats:
+def slow_slopes(noise: Whitener, first: int = 0) -> Floats:
     """Columns of a slope along each axis that moves within runs, which changes as slowly as the drift, (m, p).
 
     Args:
         noise: its drift of each series has a memory; a short one allows each of few runs a slope of its own.
+        first: half-wave that is the first; from 1 on without a slope that stays.
     """
     readings, out = noise.readings, []
     for s, n in zip(noise.readings.series, noise.noises, strict=True):
@@ -85,7 +86,7 @@ def slow_slopes(noise: Whitener) -> Floats:
         slopes = places - middle[s.run]
         slopes = slopes[:, np.sqrt(np.mean(slopes**2, axis=0)) > REAL["mm"]]
         waves = min(int(s.run[-1]) + 1, math.ceil(QUICKEST * s.pace_s[0] / n.tau_s) + 1, HALF_WAVES)
-        when = np.outer((s.time_s - s.time_s[0]) / s.pace_s[0], np.pi * np.arange(waves))
+        when = np.outer((s.time_s - s.time_s[0]) / s.pace_s[0], np.pi * np.arange(first, waves))
         own = (np.cos(when)[:, :, None] * slopes[:, None, :]).reshape(len(s), -1)
         whole = np.zeros((len(readings), own.shape[1]))
         whole[s.part] = own / np.maximum(np.sqrt(np.mean(own**2, axis=0)), REAL["mm"])
@@ -104,6 +105,8 @@ class Refitted:
     log_evidence: float
     drop: float
     gain: float
+    within: float = 0.0
+    """Relative fall of the mean square on held-out runs about the mean of each."""
     before: int | None = None
     """Number of columns before this candidate's in the fit; None for those of the current model."""
     rivals: tuple[int, ...] = ()
@@ -111,8 +114,8 @@ class Refitted:
 
     @property
     def holds(self) -> bool:
-        """Whether held-out runs are predicted better, both whitened and in their unit."""
-        return self.gain > 0.0 and self.drop > 0.0
+        """Whether held-out runs are predicted better, both whitened and in their unit, or else about their means."""
+        return self.gain > 0.0 and max(self.drop, self.within) > 0.0
 
 
 NOTHING_MUCH = 0.02
@@ -121,17 +124,34 @@ FAR = 0.5
 """Of two that explain the readings, one leads if its held-out mean square is below this share of the other's."""
 
 
+BETTER = 0.9
+"""One predicts better than another where its mean square on held-out runs is below this share of the other's."""
+
+
 class Judged(Protocol):
-    """A fit judged by held-out runs; `drop` is the relative fall of their mean square."""
+    """A fit judged by held-out runs."""
 
     @property
     def drop(self) -> float:
         """Relative fall of the mean square."""
 
+    @property
+    def within(self) -> float:
+        """Relative fall of the mean square about the mean of each run."""
+
 
 def far_better(one: Judged, other: Judged) -> bool:
     """Whether one predicts held-out runs far better than another."""
-    return 1.0 - one.drop < FAR * (1.0 - other.drop)
+    return predicts_better(one, other, FAR)
+
+
+def predicts_better(one: Judged, other: Judged, share: float = BETTER) -> bool:
+    """Whether one leaves less than this share of the mean square that another leaves on held-out runs.
+
+    Not where the other is the better one about the mean of each run: then one may follow a drift from run to run.
+    """
+    feigned = 1.0 - other.within < BETTER * (1.0 - one.within)
+    return 1.0 - one.drop < share * (1.0 - other.drop) and not feigned
 
 
 Stage = Callable[[str, int, int], None]
@@ -427,7 +447,8 @@ class Refits:
     def without_shape(self, members: Sequence[Refitted], columns: Floats) -> list[Refitted]:
         """Effects beside a shape, (m, k), judged on held-out runs without it."""
         width = self.prepared.base.shape[1] + columns.shape[1]
-        return [replace(t, drop=self.held_out_gain(t.fit.whitener, t.fit.columns[:, width:])[0]) for t in members]
+        judged = [self.held_out_gain(t.fit.whitener, t.fit.columns[:, width:]) for t in members]
+        return [replace(t, drop=j.drop, within=j.within) for t, j in zip(members, judged, strict=True)]
 
     def _grown(self, out: list[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """The same effects and those that the readings require beside them."""
@@ -442,12 +463,10 @@ class Refits:
                 if any(self._same_wave(number, theta, t) for t in out):
                     continue
                 gain = likely - last.fit.log_likelihood
-                drop, left_out = self._judged(number, theta, fit.whitener, last.fit.columns, fit.columns[:, width:])
-                if gain > bar and 1.0 - drop < (1.0 - MORE) * (1.0 - last.drop):
+                judged = self._judged(number, theta, fit.whitener, last.fit.columns, fit.columns[:, width:])
+                if gain > bar and 1.0 - judged.drop < (1.0 - MORE) * (1.0 - last.drop):
                     evidence = last.log_evidence + gain
-                    more.append(
-                        Refitted(number, theta, columns, fit, evidence, drop, left_out, last.fit.columns.shape[1])
-                    )
+                    more.append(Refitted(number, theta, columns, fit, evidence, *judged, last.fit.columns.shape[1]))
             if not more:
                 break
             out = [*out, self._plainest(self._with_rivals(found, more, there))]
@@ -545,10 +564,10 @@ class Refits:
             tried = []
             for t in left:
                 fit = self.fit(np.concatenate([base, t.columns], axis=1))
-                drop, gain = self._judged(t.number, t.theta, fit.whitener, base, fit.columns[:, width:])
+                judged = self._judged(t.number, t.theta, fit.whitener, base, fit.columns[:, width:])
                 before = base.shape[1] if out else None
                 likely = evidence + fit.log_likelihood - costs[t.number]
-                tried.append(replace(t, fit=fit, log_evidence=likely, drop=drop, gain=gain, before=before))
+                tried.append(replace(t, fit=fit, log_evidence=likely, before=before, **judged._asdict()))
             least = bar + (out[-1].log_evidence if out else 0.0)
             best = max((t for t in tried if t.log_evidence > least), key=lambda t: t.drop, default=None)
             if best is None:
@@ -616,6 +635,17 @@ class Refits:
         Heat that no sensor recorded causes such slopes; an effect that only follows them may be such heat.
         """
         return self.beside_columns(t, slow_slopes(t.fit.whitener))
+
+    def slopes_stay(self, t: Refitted) -> bool:
+        """Whether slopes along the axes do not change slowly, beside a candidate.
+
+        Then the drift shifts all places alike, and what stays along an axis is no part of it.
+        """
+        slopes = slow_slopes(t.fit.whitener, first=1)
+        if not slopes.shape[1]:
+            return False
+        likely = self.fit(np.concatenate([t.fit.columns, slopes], axis=1)).log_likelihood
+        return likely - t.fit.log_likelihood < 0.5 * slopes.shape[1] * math.log(len(self.readings))
 
     def beside_files(self, t: Refitted, others: Floats | None = None, cost: float | None = None) -> float | None:
         """Log evidence of a candidate where each file has a number of its own for the same shape at constant channels.
@@ -725,9 +755,7 @@ class Refits:
             best = max(best, (gain - self.current.log_likelihood, columns), key=lambda b: b[0])
         return best
 
-    def _judged(
-        self, number: int, theta: Theta, whitener: Whitener, beside: Floats, columns: Floats
-    ) -> tuple[float, float]:
+    def _judged(self, number: int, theta: Theta, whitener: Whitener, beside: Floats, columns: Floats) -> HeldOutGain:
         """`held_out_gain`; the fall is zero for a shape along an axis that does not predict the held-out targets.
 
         Args:
@@ -737,16 +765,16 @@ class Refits:
             beside: columns without the candidate, (m, p).
             columns: beyond the current model, with it, (m, k).
         """
-        drop, gain = self.held_out_gain(whitener, columns)
+        judged = self.held_out_gain(whitener, columns)
         candidate = self.candidates[number]
         # A wave of any period fits some targets. A bump between two places of the grid is found only where it is.
         thetas = candidate.thetas if isinstance(candidate.effect, WAVES) else (*candidate.thetas, theta)
-        if drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, thetas):
-            return 0.0, min(gain, 0.0)
-        return drop, gain
+        if judged.drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, thetas):
+            return HeldOutGain(0.0, min(judged.gain, 0.0), 0.0)
+        return judged
 
-    def held_out_gain(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
-        """Relative fall of the mean square on held-out runs, and the gain in whitened squares for each fold."""
+    def held_out_gain(self, whitener: Whitener, columns: Floats) -> HeldOutGain:
+        """What columns, (m, k), beside the current model improve on held-out runs."""
         return held_out_gain(whitener, self.prepared.base, columns, self.prepared.kept)
 
     @cached_property

@@ -11,7 +11,7 @@ from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes, weigh
 from rtec.estimation import floor
 from rtec.estimation.display import display_errors, within_display
-from rtec.estimation.gls import Fit, solve
+from rtec.estimation.gls import Fit, HeldOutGain, about_runs, solve, without_nuisance
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
 from rtec.machine import Machine
@@ -40,13 +40,14 @@ class Shaped:
     log_evidence: float
     drop: float
     gain: float
+    within: float = 0.0
     few: "FewTargets | None" = None
     """The places that carry it, where no more than two do."""
 
     @property
     def holds(self) -> bool:
         """Whether held-out runs are predicted better."""
-        return self.gain > 0.0 and self.drop > 0.0
+        return self.gain > 0.0 and max(self.drop, self.within) > 0.0
 
 
 def best_shapes(
@@ -55,7 +56,7 @@ def best_shapes(
     noises: Sequence[Whitener],
     fit: Callable[[Floats], Fit],
     current: Fit,
-    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], HeldOutGain],
 ) -> list[Shaped]:
     """Fit the most promising shapes without a name.
 
@@ -65,7 +66,7 @@ def best_shapes(
         noises: each gives a screen.
         fit: fits columns and the noise together.
         current: the fit of the base alone.
-        held_out_gain: relative fall of the mean square on held-out runs, and whitened gain, by columns beside the base.
+        held_out_gain: what columns beside the base improve on held-out runs.
 
     Returns:
         Shapes that predict held-out runs better and are larger than the error of the instrument's display.
@@ -202,7 +203,7 @@ def curves_of(
     base: Floats,
     fit: Callable[[Floats], Fit],
     current: Fit,
-    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], HeldOutGain],
 ) -> list[Shaped]:
     """The best curve over each variable of a shape; over a position also one that is opposite in both directions.
 
@@ -232,8 +233,7 @@ def curves_of(
             evidence -= 0.5 * columns.shape[1] * math.log(len(readings))
             made.append(Shaped(shape, columns, found, evidence, 0.0, 0.0))
         likely = max(made, key=lambda t: t.log_evidence)
-        drop, gain = held_out_gain(likely.fit.whitener, likely.columns)
-        return replace(likely, drop=drop, gain=gain)
+        return replace(likely, **held_out_gain(likely.fit.whitener, likely.columns)._asdict())
 
     for name, own in zip(top.shape.over, top.shape.fine, strict=True):
         if name == "time_s" or name in directions.values():
@@ -241,6 +241,14 @@ def curves_of(
         way = directions.get(name)
         out += [best(name, own, None), *([best(name, own, way)] if way in ground.known else [])]
     return out
+
+
+def over_time(top: Shaped, readings: Readings) -> list[Floats]:
+    """Columns of curves over the time, coarse and fine, where a shape reads it; empty where it does not."""
+    if "time_s" not in top.shape.over:
+        return []
+    ground = Ground(readings)
+    return [ground.columns(Shape(top.shape.group, ("time_s",), (fine,))) for fine in (COARSE, LINE, DETAIL, FINE)]
 
 
 LOSES = 0.05
@@ -255,7 +263,7 @@ def without_idle(
     readings: Readings,
     base: Floats,
     fit: Callable[[Floats], Fit],
-    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], HeldOutGain],
 ) -> Shaped:
     """The best shape, or one of only one of its variables where the other does not improve held-out runs.
 
@@ -327,7 +335,7 @@ def _instead_of_time(
     ground: Ground,
     base: Floats,
     fit: Callable[[Floats], Fit],
-    held_out_gain: Callable[[Whitener, Floats], tuple[float, float]],
+    held_out_gain: Callable[[Whitener, Floats], HeldOutGain],
 ) -> Shaped:
     """A temperature that rises with time in place of time where it explains about as much: time itself is no cause.
 
@@ -352,8 +360,20 @@ def _instead_of_time(
     return max(found[1:], key=lambda t: t.fit.log_likelihood, default=top)
 
 
+ALONG = 0.5
+"""Share of its own mean square that an effect has within runs where it acts along them."""
+
+
+def _along(columns: Floats, readings: Readings) -> bool:
+    """Whether an effect acts along the runs."""
+    within = sum(float(np.sum(about_runs(readings, c) ** 2)) for c in columns.T)
+    return within > ALONG * sum(float(np.sum(without_nuisance(readings, c) ** 2)) for c in columns.T)
+
+
 def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Readings) -> float:
     """Part that columns explain, as a share of what the best shape explains, under the noise of each shape.
+
+    Beside an effect along the runs a shape that reads no axis is a drift: it is nothing that could be explained.
 
     Args:
         columns: of the effect, (m, k).
@@ -361,7 +381,9 @@ def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Re
         base: columns of the current model, (m, p).
         readings: the readings.
     """
-    out = 1.0
+    out, moving = 1.0, {c for a in readings.machine.axes for c in a.moving_channels}
+    if _along(columns, readings):
+        tops = [t for t in tops if moving & set(t.shape.variables)]
     for t in tops:
         if t.log_evidence <= 0.0:
             continue
