@@ -4,6 +4,7 @@ Every text for people takes its numbers from here; files and JSON keep all digit
 """
 
 import math
+from collections.abc import Sequence
 
 NONE = "–"
 ERROR_UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
@@ -89,6 +90,12 @@ def odds(p: float) -> str:
     size = max(ratio, 1.0 / ratio)
     text = "more than 1000" if size > 1000.0 else number(size, 1 if size < 9.95 else 0).removesuffix(".0")
     return f"{text} to 1" if ratio >= 1.0 else f"1 to {text}"
+
+
+def listed(names: Sequence[object]) -> str:
+    """Names in a row: "a", "a and b", "a, b and c"."""
+    *first, last = map(str, names)
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def counted(n: int, what: str, several: str = "") -> str:

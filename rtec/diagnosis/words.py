@@ -15,7 +15,18 @@ from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import minutes
 from rtec.estimation.warmth import Warmer
 from rtec.model import FittedEffect
-from rtec.wording import ERROR_UNITS, NONE, number, percent, significant, sizes, two_numbers, with_error
+from rtec.wording import (
+    ERROR_UNITS,
+    NONE,
+    counted,
+    listed,
+    number,
+    percent,
+    significant,
+    sizes,
+    two_numbers,
+    with_error,
+)
 
 ABOVE = 1.5
 """Residual, in noise floors, above which the sentence gives the part that is slow drift."""
@@ -213,11 +224,10 @@ def of_files(texts: Sequence[str]) -> list[str]:
         groups.setdefault(match[3] if match else text, []).append(match[2] if match else "")
     out = []
     for rest, files in groups.items():
-        listed = " and ".join([", ".join(files[:-1]), files[-1]] if len(files) > 1 else files)
         many = rest
         for one, other in ("the file is of", "the files are of"), ("whether it is of", "whether they are of"):
             many = many.replace(one, other) if len(files) > 1 else many
-        out.append(f"The model leaves {listed}{many}" if files[0] else rest)
+        out.append(f"The model leaves {listed(files)}{many}" if files[0] else rest)
     return out
 
 
@@ -346,8 +356,8 @@ def _together(d: Diagnosis) -> str:
     parts = []
     labelled = zip(d.together, labels([m.fitted for m in d.together]), strict=True)
     names = [with_period(name, m.fitted.theta) for m, name in labelled]
-    listed = list(zip(d.together, names, falls, strict=True))
-    for m, name, fall in sorted(listed, key=lambda t: -t[2]) if min(falls) >= 0.0 else listed:
+    members = list(zip(d.together, names, falls, strict=True))
+    for m, name, fall in sorted(members, key=lambda t: -t[2]) if min(falls) >= 0.0 else members:
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []
         others = rivals_of(m, d)
         either = [f"or {' or '.join(others[:2])} in its place"] if others else []
@@ -357,7 +367,7 @@ def _together(d: Diagnosis) -> str:
             f", which together remove {percent(d.together[-1].heldout_drop)} of the held-out mean square error,"
         )
     are = "is" if len(parts) == 1 else "are"
-    named_so = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
+    named_so = listed(parts)
     if d.unknown is None:
         return f"{named_so} {are} missing{other_parts(d.findings[0])}"
     where = " and ".join(map(named, d.unknown.channels))
@@ -413,6 +423,8 @@ def _of_the_residual(size: float, d: Diagnosis, unit: str) -> str:
         return f"{part} {unit} of the {refitted} {unit} residual with refitted numbers ({whole} {unit} as they are)"
     if float(part) <= float(whole):
         return f"{part} {unit} of the {whole} {unit} residual"
+    if d.judged is not None and not d.judged.model.effects:
+        return f"all of the {whole} {unit} residual"
     return f"{part} {unit}; the residual is {whole} {unit} because the model's numbers compensate a part of it"
 
 
@@ -614,8 +626,8 @@ def _argument(key: str, value: object) -> str:
         return word if value else WITHOUT.get(key, f"no {word}")
     if isinstance(value, list):
         if key == "degrees":
-            return f"{'degree' if len(value) == 1 else 'degrees'} {' and '.join(map(str, value))}"
-        return f"{len(value)} {word.removesuffix(' mm')}"
+            return f"{'degree' if len(value) == 1 else 'degrees'} {listed(value)}"
+        return counted(len(value), word.removesuffix(" mm").removesuffix("s"))
     if not isinstance(value, float):
         return f"{word} {value}"
     return f"{AT.get(key, word.removesuffix(' mm'))} {value:g}{' mm' if key.endswith('_mm') else ''}"

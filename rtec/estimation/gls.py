@@ -14,6 +14,7 @@ from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
 
+STILL_MM = 1e-3
 ROUNDS = 3
 NOTHING = 1e-100
 """A column of a smaller norm is rounding, and its square would underflow."""
@@ -121,12 +122,14 @@ class HeldOut:
         series: the same for each series, (series,).
         folds: sum of squares of plain residuals of each fold, each series over the mean square of the
             readings of equal instruments, (folds,).
+        within: the same about the mean of each run, (folds,).
     """
 
     white: Floats
     square: float
     series: Floats
     folds: Floats
+    within: Floats
 
     @property
     def rms(self) -> float:
@@ -159,8 +162,11 @@ def held_out(whitener: Weights, columns: Floats, scale: Floats | None = None) ->
     squares = [float(np.mean(left[s.part] ** 2)) * w * w for s, w in zip(readings.series, weight, strict=True)]
     sizes = np.array([len(s) for s in readings.series], dtype=np.float64)
     whole = spreads(readings, without_nuisance(readings, readings.values)) ** 2
-    folded = np.array([float(np.sum(left[r] ** 2 / whole[readings.series_of[r]])) for r in runs.rows])
-    return HeldOut(lost, float(np.average(squares, weights=sizes)), np.array(squares), folded)
+    folded, within = (
+        np.array([float(np.sum(v[r] ** 2 / whole[readings.series_of[r]])) for r in runs.rows])
+        for v in (left, about_runs(readings, left))
+    )
+    return HeldOut(lost, float(np.average(squares, weights=sizes)), np.array(squares), folded, within)
 
 
 class HeldOutGain(NamedTuple):
@@ -204,12 +210,21 @@ def held_out_gain(whitener: Weights, base: Floats, columns: Floats, kept: Floats
 
 
 def about_runs(readings: Readings, left: Floats) -> Floats:
-    """Residuals about the mean of their run, (m,)."""
+    """Residuals about the mean of their run, (m,); as they are where no axis moves in the runs."""
     out = left.copy()
     for s in readings.series:
+        if not _moves(readings, s):
+            continue
         mean = np.bincount(s.run, left[s.part]) / np.maximum(np.bincount(s.run), 1)
         out[s.part] -= mean[s.run]
     return out
+
+
+def _moves(readings: Readings, s: Series) -> bool:
+    """Whether an axis moves within the runs of a series."""
+    first = np.flatnonzero(np.diff(s.run, prepend=-1))
+    places = readings.poses_mm[s.source][s.row]
+    return bool(np.max(np.abs(places - places[first][s.run]), initial=0.0) > STILL_MM)
 
 
 class _HeldOutRuns:

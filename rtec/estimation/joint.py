@@ -23,7 +23,7 @@ from rtec.estimation.columns import slope
 from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gls import HeldOut, held_out, inverse, solve
 from rtec.estimation.noise import Whitener, find_noise, refine
-from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, telling, weights, widening
+from rtec.estimation.plain import Plain, as_good, better_within_runs, covariance, plain_fit, telling, weights, widening
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
 from rtec.estimation.warmth import Misread, Warmer, misread, of_the_fit, warmer
@@ -268,7 +268,12 @@ def _refereed(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[f
     judged = [held_out(f.weights, f.columns) for f in (weighed, plain)]
     ordinary, by_weight = _joint(work, plain), _joint(work, weighed)
     words = _disputed(by_weight, ordinary, judged)
-    return replace(by_weight if as_good(*judged) else ordinary, disputed=words, plain=ordinary)
+    return replace(by_weight if _by_weight(judged) else ordinary, disputed=words, plain=ordinary)
+
+
+def _by_weight(judged: Sequence[HeldOut]) -> bool:
+    """Whether the numbers of the weighted fit are taken, by both fits on held-out runs."""
+    return as_good(*judged) or better_within_runs(*judged)
 
 
 def _joint(work: _Work, found: _Numbers) -> Joint:
@@ -304,7 +309,7 @@ def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[
     if not out:
         return ()
     rms = [math.sqrt(j.square) for j in judged]
-    taken = "weighted" if as_good(*judged) else "ordinary"
+    taken = "weighted" if _by_weight(judged) else "ordinary"
     first = (
         "the fit depends on how slow changes of the residual are weighed, so something slow is not in the model: "
         f"held-out runs are predicted to {significant(rms[1])} by ordinary and to {significant(rms[0])} by weighted "

@@ -198,13 +198,15 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     least = max(SMALL * spread, HALF * _display_step(values), 1e-9)
     off, (wrong, far, before) = np.zeros(n), (np.zeros(n, dtype=bool) for _ in range(3))
     kinds = [(rough, _Kind(REACH, 1, BURST)), (rough, _Kind(LONG_REACH, 2, LONG_BURST))]
-    kinds += [] if still else [(rough, _Kind(GROSS_REACH, 2, GROSS_BURST, wild=True)), (flat, _Kind(REACH, 1, 1))]
+    kinds += [] if still else [(rough, _Kind(GROSS_REACH, 2, GROSS_BURST, wild=True)), (flat, _Kind(REACH, 1, BURST))]
     for seen, kind in kinds:
         for _ in range(ROUNDS):
             known = np.where(wrong, np.nan, seen)
             off = seen - neighbours(known, seen, linked, kind.reach)
             sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), least)
             found = _bursts(off, known, _sigmas(off, sigma, s.run, wrong, kind), linked, near, still, kind)
+            if seen is flat:
+                found &= _sets_off(rough, off, found)
             if not still:
                 found &= ~np.logical_or.reduce([_again(off, p, found) for p in (place, *near)])
             if not kind.wild:
@@ -240,6 +242,18 @@ class _Kind:
     def signs(self, off: Floats, far: Bools) -> Floats:
         """Common sign of consecutive readings, (n,), or 1 where either sign counts; 0 if not far."""
         return np.where(far, 1.0 if self.wild else np.sign(off), 0.0)
+
+
+def _sets_off(rough: Floats, off: Floats, found: Bools) -> Bools:
+    """Which readings of bursts differ from the reading before and from that after their burst, (n,).
+
+    A line through a way of which half is elsewhere is far from what is beside that half, too.
+    """
+    out, edges = np.zeros(len(found), dtype=bool), np.flatnonzero(np.diff(found, prepend=False, append=False))
+    for a, b in edges.reshape(-1, 2).tolist():
+        level, size = float(np.median(rough[a:b])), HALF * float(np.median(np.abs(off[a:b])))
+        out[a:b] = all(abs(rough[k] - level) > size for k in (a - 1, b) if 0 <= k < len(rough))
+    return out
 
 
 def _linked(s: Series) -> Ints:

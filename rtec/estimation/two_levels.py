@@ -5,6 +5,7 @@ whose states nobody noted shows readings that no effect of a recorded channel de
 to go with them is blamed.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,6 +34,8 @@ VISIBLE = 3.0
 """The levels are apart by at least this many times the scatter of the readings of a run."""
 FOLLOWED = 3.0
 """A channel is a reason if a straight line through it leaves at most this many times the scatter within the levels."""
+WAYS = 400
+"""Ways to divide the runs beyond which a limit of a channel that divides them so is no chance."""
 STEP = (
     "Find what was different in these runs (coolant, hydraulics, a clamp, the seat of a probe) and diagnose the runs "
     'of one state alone; or write zero = "run" in the [setup] of the file, so that each run has a zero of its own.'
@@ -157,7 +160,14 @@ def _has_reason(readings: Readings, s: Series, heights: Floats, high: NDArray[np
 
 
 def _separates(values: Floats, high: NDArray[np.bool_]) -> bool:
-    """Whether the nearest value to that of each run is one of its own level."""
+    """Whether the nearest value to that of each run is one of its own level, or one level is above a limit.
+
+    Of few runs a limit divides any two levels by chance.
+    """
+    if math.comb(len(high), int(high.sum())) > WAYS:
+        up, down = values[high], values[~high]
+        if up.min() > down.max() or up.max() < down.min():
+            return True
     apart = np.abs(values[:, None] - values)
     np.fill_diagonal(apart, np.inf)
     same = high[:, None] == high

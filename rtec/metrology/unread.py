@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.wording import significant
+from rtec.wording import listed, significant
 
 Floats = NDArray[np.float64]
 
@@ -42,10 +42,9 @@ def not_read(columns: Mapping[str, Floats]) -> str:
     named = sorted(columns, key=lambda n: not is_rotary(n))
     parts = [ranged(n, columns[n]) for n in named[:MOST_NAMED]]
     parts += [f"{len(named) - MOST_NAMED} more"] if len(named) > MOST_NAMED else []
-    listed = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
     vary, on = ("varies", "it") if len(named) == 1 else ("vary", "them")
     why = "rtec has no rotary axes, so " if is_rotary(named[0]) else ""
-    return f"Not read: {listed}, which {vary}; {why}a dependence of the readings on {on} will look like something else."
+    return f"Not read: {listed(parts)}, which {vary}; {why}a dependence of the readings on {on} will look like something else."
 
 
 def ranged(name: str, values: Floats) -> str:

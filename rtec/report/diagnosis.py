@@ -285,7 +285,8 @@ def _brief(d: Diagnosis) -> Table | None:
         for f, label in zip(shown, labels(shown), strict=True)
     ]
     head: tuple[str, ...] = ("candidate", f"explains, {ERROR_UNITS[d.unit]}", "held-out error falls by", "probability")
-    if d.runs is not None:  # too few runs decide: drift explains them as well, which the probability takes into account
+    # Too few runs decide: drift explains them as well. What has no name is in no probability.
+    if d.runs is not None or d.verdict == "unknown_effect":
         head, rows = head[:-1], [r[:-1] for r in rows]
     more = f" {counted(len(d.findings) - BRIEF, 'more candidate')} with --full." if len(d.findings) > BRIEF else ""
     caption = " ".join(filter(None, ["Falls by: share of the mean square.", _less_likely_first(d)]))
@@ -312,7 +313,7 @@ def _next(d: Diagnosis) -> list[str]:
     model, *data = d.files
     last = ("-o", f"{model.with_suffix('')}-more.toml", *d.machine_option)
     if d.verdict == "unknown_effect":
-        typed = [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
+        typed = by_expression(d, d.files, d.machine_option)
         if typed or not d.refits_changed:
             return typed  # which refits the model's numbers as well
     if d.refits_changed:
@@ -399,17 +400,31 @@ def on_its_circle(p: Picture, circle: OnCircle) -> Section:
     return Section(f"On the circle: {p.title}", [], None, Figure(f"polar-{file}.png", png, shows))
 
 
+def by_expression(d: Diagnosis, files: Sequence[Path], machine_option: Sequence[str]) -> list[str]:
+    """The command that adds what has no name as an expression; empty where there is none.
+
+    Args:
+        d: the diagnosis.
+        files: the model, then the measurements.
+        machine_option: `--machine` and its file, where the command needs them.
+    """
+    u = d.unknown
+    if u is None or not u.expression:
+        return []
+    model, *data = files
+    given = ["rtec", "add", model, "--expr", u.expression, *(word for p in u.parameters for word in ("--param", p))]
+    given += ["--component", u.feeds, "--data", *data, "-o", f"{model.with_suffix('')}-more.toml", *machine_option]
+    return [shell_command(*given)]
+
+
 def _to_type(d: Diagnosis) -> list[Section]:
     """The command that adds an effect without a name as an expression."""
-    if d.unknown is None or not d.unknown.expression:
+    command = by_expression(d, d.files or (Path("MODEL"), Path("MEASUREMENT")), d.machine_option)
+    if not command:
         return []
-    u = d.unknown
-    model, *data = d.files or (Path("MODEL"), Path("MEASUREMENT"))
-    given = ["rtec", "add", model, "--expr", u.expression, *(word for p in u.parameters for word in ("--param", p))]
-    given += ["--component", u.feeds, "--data", *data, "-o", f"{model.with_suffix('')}-more.toml", *d.machine_option]
     words = [
         "The nearest simple expression; `rtec add` refuses it if the error on held-out runs does not fall:",
-        shell_command(*given),
+        *command,
         "It describes the shape of the error, not its cause.",
     ]
     return [Section("To add it without a name", words)]

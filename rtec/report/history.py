@@ -17,6 +17,7 @@ from rtec.diagnosis.extend.record_event import words
 from rtec.diagnosis.words import REFITS, drifts, of_changes, of_sensors, of_warmth, sentence, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
+from rtec.report.diagnosis import by_expression
 from rtec.report.figures import OFF, ON, as_png, stacked
 from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.wording import (
@@ -205,10 +206,12 @@ def _not_distinguished(r: Improved) -> list[str]:
 
 
 def _next(r: Improved) -> list[str]:
-    """The command that shows what is still missing, and the one that shows the steps."""
+    """The command that adds or shows what is still missing, and the one that shows the steps."""
     if not r.files:
         return []
     shown = [shell_command("rtec", "history", r.files[0], "--report", "out/history")] if r.steps or r.refit else []
+    if r.reason == "unknown_effect" and (typed := by_expression(r.diagnoses[-1], r.files, r.machine_option)):
+        return [*typed, *shown]
     asks = r.reason in ("unknown_effect", "ambiguous")
     return [*([shell_command("rtec", "diagnose", *r.files, *r.machine_option)] if asks else []), *shown]
 

@@ -246,7 +246,7 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
     asked.s = SimpleNamespace(chain=(), prior_odds=3.0, candidates=candidates)
 
     def fitted(number: int, log_evidence: float, drop: float) -> Any:
-        return SimpleNamespace(number=number, log_evidence=log_evidence, drop=drop, holds=True)
+        return SimpleNamespace(number=number, log_evidence=log_evidence, drop=drop, within=drop, holds=True)
 
     shapes = np.array([[1.0, 0.0], [0.8, 0.6], [1.0, 0.0], [0.0, 1.0]])
     found: Any = SimpleNamespace(contribution=lambda number: shapes[number])

@@ -195,6 +195,18 @@ def test_a_burst_across_a_reversal_is_wrong() -> None:
     assert found(spoilt(m, [turn, turn + 1], [9.0, 9.0])) == [turn, turn + 1]
 
 
+def test_a_burst_is_found_where_every_way_has_a_slope_of_its_own() -> None:
+    """A screw that grows unseen made the neighbours look noisy. Oracle: what was added."""
+    m = laser([SCALE], 8, noise={"white_um": 0.3})
+    way = np.cumsum(np.diff(m.state().value("d_x"), prepend=0.0) != 0.0)
+    slopes = np.random.default_rng(2).normal(0.0, 0.06, way[-1] + 1)
+    um = slopes[way] * (m.channels["x"] - 100.0)
+    grown = replace(m, readings={"reading_um": m.readings["reading_um"] + um})
+    assert not found(grown)
+    rows = [95, 96, 97]
+    assert found(spoilt(grown, rows, [9.0, 8.0, 9.5])) == rows
+
+
 @pytest.mark.parametrize("length", [15, 24, 40])
 def test_readings_of_loud_runs_are_kept(length: int) -> None:
     """Oracle: normal noise, ten times as large in every other run; what is far off among such readings is found."""

@@ -65,6 +65,14 @@ def test_a_recorded_load_is_a_reason() -> None:
     assert not found(raised(m, HIGH, 4.0, spindle_rpm=speeds))
 
 
+def test_a_limit_of_a_recorded_speed_is_a_reason() -> None:
+    """Above 5000 1/min something gives way; the lowest such speed is nearer to those below."""
+    m, speeds = laser(TRUTH, 3), np.linspace(0.0, 4800.0, 18)
+    speeds[np.array(HIGH) - 1] = np.linspace(5200.0, 9000.0, len(HIGH))
+    number = m.run - m.run[0] + 1
+    assert not found(raised(m, HIGH, 5.0, spindle_rpm=speeds[number - 1]))
+
+
 def test_one_step_that_lasts_and_one_to_and_fro_are_other_things() -> None:
     assert not found(raised(laser(TRUTH, 3), range(9, 19), 4.0))
     assert not found(raised(laser(TRUTH, 3), (7, 8, 9), 4.0))

@@ -14,7 +14,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.unread import is_rotary, joined, not_read, ranged
-from rtec.wording import ERROR_UNITS, sizes
+from rtec.wording import ERROR_UNITS, listed, sizes
 
 Floats = NDArray[np.float64]
 
@@ -155,10 +155,10 @@ def not_logged_beside(measurements: Sequence[Measurement]) -> str:
     missing = [s for s in sensors if any(s in lacks for lacks in without.values())]
     if not missing:
         return ""
-    files = _listed([name for name, lacks in without.items() if lacks])
+    files = listed([name for name, lacks in without.items() if lacks])
     reads = "read" if " and " in files else "reads"
     return (
-        f" Not tested: effects of {_listed(missing)} on what {files} {reads}, without these temperatures. "
+        f" Not tested: effects of {listed(missing)} on what {files} {reads}, without these temperatures. "
         f"Leave {files} out, or write the temperature into the file: rtec import --answer {missing[0]}_degc=VALUE."
     )
 
@@ -166,10 +166,6 @@ def not_logged_beside(measurements: Sequence[Measurement]) -> str:
 def _varies(measurement: Measurement, sensor: str) -> bool:
     values = measurement.channels.get(sensor)
     return values is not None and float(np.ptp(values)) > REAL["degc"]
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def _angles(readings: Readings, source: int) -> dict[str, Floats]:

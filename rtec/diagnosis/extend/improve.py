@@ -24,7 +24,7 @@ from rtec.diagnosis.extend.add import (
 )
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, hardly_varied
-from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding
+from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding, Unknown
 from rtec.diagnosis.search.changes import expansions_instead, with_changes
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
@@ -183,6 +183,9 @@ def improve(
         grown = replace(done.model, measurements=own)
         growth = _Growth(measurements, given, grown, (seed, alpha, draws), stage, step, least_fall=CLEAR_FALL)
         done = _joined(done, _once_more(growth, grown, done, ask, ask_made, step))
+    if done.reason == "unknown_effect":
+        *before, last = done.diagnoses
+        done = replace(done, diagnoses=(*before, replace(last, unknown=growth.unknown(done.model))))
     return replace(done, events=tuple(growth.events))
 
 
@@ -310,6 +313,7 @@ class _Growth:
         # Effects whose numbers were not fitted to these readings.
         self.own = 0 if again else len(start.effects)
         self.earlier = None if again else start
+        self._unknown: dict[str, Unknown | None] = {}
 
     def refit(self, model: Model, alone: bool) -> Added | None:
         """The model with refitted numbers; None where that lowers the error on held-out runs by little.
@@ -341,6 +345,12 @@ class _Growth:
             given=self.given,
             earlier=self.earlier is not None,
         )
+
+    def unknown(self, model: Model) -> Unknown | None:
+        """What a model misses that has no name, with its expression."""
+        if model.hash not in self._unknown:
+            self._unknown[model.hash] = self.diagnosed(model, explain=True).unknown
+        return self._unknown[model.hash]
 
     def takes_out(self, found: Diagnosis, model: Model, chosen: Finding | None = None) -> bool:
         """Whether an effect of the time is named: then the readings get it as an unknown of their record.
@@ -526,7 +536,7 @@ class _Growth:
         places = {c for a in machine.axes for c in (a.channel, a.direction_channel)}
         if found.unknown is None or not set(found.unknown.channels) <= places or _in_doubt(found):
             return None
-        unknown = self.diagnosed(model, explain=True).unknown
+        unknown = self.unknown(model)
         if unknown is None or not unknown.expression:
             return None
         effect = expression_from_text(unknown.expression, unknown.parameters, unknown.feeds, machine)

@@ -23,6 +23,7 @@ from rtec.diagnosis.search.confounded import (
     WITHIN,
     alike,
     bent_part,
+    coincides,
     cosine,
     curve_or_wave,
     fold,
@@ -209,6 +210,8 @@ class _Answer:
         """Whether these readings cannot distinguish another candidate from the winner."""
         if winner.number == other.number:
             return True
+        if self._by_chance(winner, other.number, other.theta):
+            return False
         if self.s.chain:
             return cosine(found.contribution(winner.number), found.contribution(other.number)) > SAME
         if other.number == self.s.partner:
@@ -221,6 +224,12 @@ class _Answer:
             return False  # it contains the winner, and the rest explains nothing more
         cos = cosine(found.contribution(winner.number), found.contribution(other.number))
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
+
+    def _by_chance(self, winner: Refitted, number: int, theta: Mapping[str, float]) -> bool:
+        """Whether another wave is the winner's only because its free period happens to be that of the screw."""
+        mine, other = (self.s.candidates[n].effect for n in (winner.number, number))
+        machine = self.s.model.machine
+        return coincides(other, theta, machine) and not coincides(mine, winner.theta, machine)
 
     def _disputes(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether held-out runs favour an effect that the evidence ranks behind the winner; or hardly distinguish the
@@ -261,11 +270,11 @@ class _Answer:
                 behind = winner.log_evidence - fitted[number].log_evidence
             else:
                 same = cos > SAME and found.variants[found.best[number]].count <= width
+                same = same and not self._by_chance(winner, number, self._theta(found, number))
                 behind = 0.0
             if same:
                 name = other.effect, other.component, getattr(other, "sensor", None) or ""
-                theta = self.s.candidates[number].thetas[found.variants[found.best[number]].theta]
-                fitted_as = FittedEffect(other, {}, theta)
+                fitted_as = FittedEffect(other, {}, self._theta(found, number))
                 out.setdefault(name, (replace(alike(mine, other, cos, behind), fitted=fitted_as), number))
         rivals = [r for r in out.values() if not r[0].apart]
         evidence = {t.number: t.log_evidence for t in refitted}
@@ -289,6 +298,10 @@ class _Answer:
             bent_part(mine, self._coefficient(winner), self._beside(winner, refitted)),
         )
         return [*listed, *(a for a in asked if a is not None)]
+
+    def _theta(self, found: Screen, number: int) -> Mapping[str, float]:
+        """The best non-linear parameters of a candidate in the screen."""
+        return self.s.candidates[number].thetas[found.variants[found.best[number]].theta]
 
     def _coefficient(self, t: Refitted) -> float:
         """The first number of a candidate."""
@@ -405,7 +418,7 @@ class _Answer:
             return fitted_to(whitener, base, self.s.candidates[number].effect, theta)
 
         mine = fitted(winner.number, winner.theta)
-        known = {n: self.s.candidates[n].thetas[found.variants[found.best[n]].theta] for _, n in alikes}
+        known = {n: self._theta(found, n) for _, n in alikes}
         known |= {t.number: t.theta for t in self.s.refitted}
         others = [(a, fitted(n, known[n])) for a, n in alikes]
         try:

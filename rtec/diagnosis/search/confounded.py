@@ -13,6 +13,7 @@ from rtec.diagnosis.result import Alike
 from rtec.diagnosis.words import labels
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
+from rtec.effects.cyclic import CyclicPole
 from rtec.effects.motion import ServoLag
 from rtec.effects.registry import all_effects
 from rtec.estimation.readings import Readings
@@ -223,6 +224,8 @@ def _part_of_turn(effect: Effect, numbers: NDArray[np.float64]) -> int:
 PERIODS = ("pitch", "period")
 ANOTHER = 0.05
 """Periods within this relative difference are one."""
+COINCIDES = 5e-3
+"""A period that may be any is within this relative difference of the screw's in one case of some hundred."""
 EVEN = 1e-3
 """Steps within this relative difference are equal."""
 SCATTER, MOST_MOVES = 0.25, 0.8
@@ -246,6 +249,13 @@ def period_mm(effect: Effect, theta: Mapping[str, float]) -> float | None:
     if getattr(effect, "axis", None) is None:
         return None
     return next((theta[name] for name in PERIODS if name in theta), getattr(effect, "lambda_mm", None))
+
+
+def coincides(effect: Effect, theta: Mapping[str, float], machine: Machine) -> bool:
+    """Whether a wave that is not the screw's has the screw's period, or half of it, by coincidence."""
+    if not isinstance(effect, CyclicPole) or (pitch := effect.the_axis(machine).pitch_mm) is None:
+        return False
+    return any(abs(turn * pitch / theta["period"] - 1.0) < COINCIDES for turn in (1.0, 0.5))
 
 
 def step_mm(readings: Readings, channel: str, seen: NDArray[np.bool_]) -> float | None:

@@ -749,6 +749,8 @@ class Search:
         first, second = best
         if first.holds and not _rich(best):
             return None, self.refits.chain(best, bar, lambda e: not self._of_time(e) and self._separate(e))
+        if _rich(best) and (chain := self._leaner(refitted, second.log_evidence, bar)):
+            return None, chain
         apart = self._without_instrument([first, second])
         if len(apart) < len(best):
             return None, apart
@@ -756,6 +758,23 @@ class Search:
         width = self.prepared.base.shape[1]
         both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
         return (both, second), []
+
+    def _leaner(self, refitted: Sequence[Refitted], evidence: float, bar: float) -> list[Refitted]:
+        """Plain effects that are together likelier than a pair with one of many numbers; empty where none are.
+
+        A curve of many knots takes up a scale and a backlash, too.
+        """
+        sure = [t for t in refitted if t.holds and not _rich([t]) and t.log_evidence > bar]
+        first = max(sure, key=lambda t: t.log_evidence, default=None)
+        if first is None:
+            return []
+
+        def plain(effect: Effect) -> bool:
+            few = len(effect.coefficients(self.model.machine)) <= PLAIN
+            return few and not self._of_time(effect) and self._separate(effect)
+
+        chain = self.refits.chain([first], bar, plain)
+        return chain if len(chain) > 1 and chain[-1].log_evidence > evidence else []
 
     def _separate(self, effect: Effect) -> bool:
         """Whether the readings may separate an effect from one of the place, and from one that they read directly."""

@@ -16,6 +16,7 @@ from rtec.diagnosis.search.confounded import (
     FEIGNED,
     SAME,
     WITHIN,
+    coincides,
     cosine,
     directness,
     diverse,
@@ -106,7 +107,7 @@ class Refitted:
     drop: float
     gain: float
     within: float = 0.0
-    """Relative fall of the mean square on held-out runs about the mean of each."""
+    """Relative fall of the mean square on held-out runs about the mean of each; NaN of an event between two runs."""
     before: int | None = None
     """Number of columns before this candidate's in the fit; None for those of the current model."""
     rivals: tuple[int, ...] = ()
@@ -229,6 +230,10 @@ EXCHANGES = 4
 MORE = 0.05
 """Relative fall of the mean square on held-out runs that each further effect must bring, and that an exchange for a
 likelier one may lose."""
+
+
+STAYS = 3.0
+"""Slopes stay where columns that change them gain less than chance does, by this many of its standard deviations."""
 
 
 class Refits:
@@ -373,6 +378,7 @@ class Refits:
         return out
 
     def _near(self, found: Screen, t: Refitted, refitted: Sequence[Refitted]) -> list[int]:
+        machine = self.readings.machine
         near = {o.number for o in refitted if o.holds and t.log_evidence - o.log_evidence < WITHIN}
         shape, width = found.contribution(t.number), found.variants[found.best[t.number]].count
         least = found.score[t.number] - self._choice_cost(t.number) - WITHIN
@@ -381,7 +387,13 @@ class Refits:
             lean = found.variants[found.best[number]].count <= width
             if likely or (lean and cosine(shape, found.contribution(number)) > SAME):
                 near.add(number)
-        return [i for i in found.order if i in near]
+        thetas = {i: self.candidates[i].thetas[found.variants[found.best[i]].theta] for i in near}
+        thetas |= {o.number: o.theta for o in (*refitted, t)}
+
+        def by_chance(i: int) -> bool:
+            return coincides(self.candidates[i].effect, thetas[i], machine)
+
+        return [i for i in found.order if i in near and (i == t.number or by_chance(t.number) or not by_chance(i))]
 
     def chain(self, first: Sequence[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """Effects and those that the readings require beside them, one after the other; the evidence is that of all.
@@ -644,8 +656,9 @@ class Refits:
         slopes = slow_slopes(t.fit.whitener, first=1)
         if not slopes.shape[1]:
             return False
-        likely = self.fit(np.concatenate([t.fit.columns, slopes], axis=1)).log_likelihood
-        return likely - t.fit.log_likelihood < 0.5 * slopes.shape[1] * math.log(len(self.readings))
+        count = slopes.shape[1]
+        gain = self.fit(np.concatenate([t.fit.columns, slopes], axis=1)).log_likelihood - t.fit.log_likelihood
+        return bool(2.0 * gain < count + STAYS * math.sqrt(2.0 * count))
 
     def beside_files(self, t: Refitted, others: Floats | None = None, cost: float | None = None) -> float | None:
         """Log evidence of a candidate where each file has a number of its own for the same shape at constant channels.
@@ -771,7 +784,7 @@ class Refits:
         thetas = candidate.thetas if isinstance(candidate.effect, WAVES) else (*candidate.thetas, theta)
         if judged.drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, thetas):
             return HeldOutGain(0.0, min(judged.gain, 0.0), 0.0)
-        return judged
+        return judged._replace(within=math.nan) if self.at_instant(number) else judged
 
     def held_out_gain(self, whitener: Whitener, columns: Floats) -> HeldOutGain:
         """What columns, (m, k), beside the current model improve on held-out runs."""

@@ -297,16 +297,17 @@ def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
             for a in ground.readings.machine.axes
             if a.channel in ground.known and np.ptp(ground.known[a.channel][mask]) > 0.0
         ]
+        fine = [name for name in moving if _places(ground.known[name][mask]) >= FEWEST_PLACES]
         plain = weigh_all(ground, projected, _pairs(group, itertools.combinations(ground.known, 2), 1, 1))
         rich = [
             *_pairs(group, (w.shape.over for w in plain[:PAIRS]), LEAN, LEAN),
             *_pairs(group, _leading(ground, leaders), PLANE, PLANE),
             *_pairs(group, _along(ground, moving, leaders), DETAIL, BEND),
+            *_pairs(group, itertools.combinations(fine, 2), LINE, LINE),
         ]
         out += [*lines, *plain, *weigh_all(ground, projected, rich), *_waves(ground, projected, group, moving)]
-        for name in moving:
-            if _places(ground.known[name][mask]) >= FEWEST_PLACES:
-                out += [*_local(ground, projected, group, name), *_steps(ground, projected, group, name)]
+        for name in fine:
+            out += [*_local(ground, projected, group, name), *_steps(ground, projected, group, name)]
     return sorted(out, key=lambda w: -w.log_evidence)
 
 

@@ -252,7 +252,7 @@ def over_time(top: Shaped, readings: Readings) -> list[Floats]:
 
 
 LOSES = 0.05
-"""A variable is named only where the held-out mean square without it is larger by more than this share."""
+"""A variable is named only where a held-out mean square without it is larger by more than this share."""
 COARSE = 3
 """Number of basis functions of the coarsest curve that takes the place of a surface."""
 
@@ -286,10 +286,15 @@ def without_idle(
             columns = ground.columns(shape)
             made = fit(np.concatenate([base, columns], axis=1))
             found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
-    best = max(found, key=lambda t: t.drop)
-    if 1.0 - best.drop > (1.0 + LOSES) * (1.0 - top.drop):
+    best = max((t for t in found if not _loses(t, top)), key=lambda t: t.drop, default=None)
+    if best is None:
         return top
     return _instead_of_time(best, ground, base, fit, held_out_gain)
+
+
+def _loses(one: Shaped, other: Shaped) -> bool:
+    """Whether one shape predicts held-out runs worse than another, or their readings about the mean of each."""
+    return any(1.0 - a > (1.0 + LOSES) * (1.0 - b) for a, b in ((one.drop, other.drop), (one.within, other.within)))
 
 
 NEARLY = 0.9
@@ -314,13 +319,12 @@ def by_own_sensors(top: Shaped, others: Sequence[Shaped], machine: Machine) -> S
         axes = [a.name for a in machine.axes if a.channel in t.shape.variables]
         return sum(machine.of_another_axis(v, a) for a in axes for v in t.shape.variables if v in machine.sensor_names)
 
-    most = (1.0 + LOSES) * (1.0 - top.drop)
     near = [
         t
         for t in others
         if form(t) == form(top) and elsewhere(t) < elsewhere(top)
         if len(t.shape.variables) == len(top.shape.variables)
-        if t.log_evidence > NEARLY * top.log_evidence and 1.0 - t.drop <= most
+        if t.log_evidence > NEARLY * top.log_evidence and not _loses(t, top)
     ]
     return max(near, key=lambda t: t.log_evidence, default=top)
 
