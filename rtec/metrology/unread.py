@@ -44,7 +44,8 @@ def not_read(columns: Mapping[str, Floats]) -> str:
     parts += [f"{len(named) - MOST_NAMED} more"] if len(named) > MOST_NAMED else []
     vary, on = ("varies", "it") if len(named) == 1 else ("vary", "them")
     why = "rtec has no rotary axes, so " if is_rotary(named[0]) else ""
-    return f"Not read: {listed(parts)}, which {vary}; {why}a dependence of the readings on {on} will look like something else."
+    looks = f"a dependence of the readings on {on} will look like something else"
+    return f"Not read: {listed(parts)}, which {vary}; {why}{looks}."
 
 
 def ranged(name: str, values: Floats) -> str:

@@ -1,4 +1,7 @@
-"""An instrument that drifts from run to run beside an effect along the runs. Oracle: what was simulated, another day."""
+"""An instrument that drifts from run to run, beside an effect along the runs.
+
+Oracle: what was simulated; another day.
+"""
 
 from dataclasses import replace
 

@@ -66,9 +66,12 @@ def test_held_out_runs_are_those_that_the_fit_did_not_see() -> None:
 
     without, lost = errors(BASE)
     with_it, less = errors(np.concatenate([BASE, MORE], axis=1))
-    drop, gain = held_out_gain(noise(), BASE, MORE)
+    drop, gain, within = held_out_gain(noise(), BASE, MORE)
     assert drop == pytest.approx(1.0 - np.mean(with_it**2) / np.mean(without**2), rel=1e-6)
     assert gain == pytest.approx(np.mean(np.array(lost) - less), rel=1e-6)
+    (s,) = READINGS.series
+    one, other = (v - np.array([v[s.run == k].mean() for k in s.run]) for v in (with_it, without))
+    assert within == pytest.approx(1.0 - np.mean(one**2) / np.mean(other**2), rel=1e-6)
     assert held_out(noise(), BASE).square == pytest.approx(np.mean(without**2), rel=1e-6)
     # With numbers that are known better than these readings tell, the better of both counts, without and with.
     kept = READINGS.values - 1e-3 * MORE[:, 0] + 0.1 * np.sin(X)
