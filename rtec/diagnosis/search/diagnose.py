@@ -355,6 +355,12 @@ class Search:
             chain = self._chain(refitted, p)
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
+        so_far = [*refitted[:1], *(pair or ()), *chain]
+        if p < self.alpha and (unknown is not None or _rich(so_far)):
+            shape = self._top_shape if unknown is not None else None
+            best = max(t.log_evidence for t in (*so_far, *([shape] if shape is not None else [])))
+            if lean := self._leaner(refitted, best):
+                pair, chain, unknown, along = None, lean, None, None
         chain = self._without_instrument(chain)
         self._doubt_files(chain, along)
         return (None, [], None) if self._doubted else (pair, chain, unknown)
@@ -749,8 +755,6 @@ class Search:
         first, second = best
         if first.holds and not _rich(best):
             return None, self.refits.chain(best, bar, lambda e: not self._of_time(e) and self._separate(e))
-        if _rich(best) and (chain := self._leaner(refitted, second.log_evidence, bar)):
-            return None, chain
         apart = self._without_instrument([first, second])
         if len(apart) < len(best):
             return None, apart
@@ -759,11 +763,12 @@ class Search:
         both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
         return (both, second), []
 
-    def _leaner(self, refitted: Sequence[Refitted], evidence: float, bar: float) -> list[Refitted]:
-        """Plain effects that are together likelier than a pair with one of many numbers; empty where none are.
+    def _leaner(self, refitted: Sequence[Refitted], evidence: float) -> list[Refitted]:
+        """Plain effects that are together likelier than an answer with many numbers; empty where none are.
 
         A curve of many knots takes up a scale and a backlash, too.
         """
+        bar = self._prior_odds + SURE
         sure = [t for t in refitted if t.holds and not _rich([t]) and t.log_evidence > bar]
         first = max(sure, key=lambda t: t.log_evidence, default=None)
         if first is None:
