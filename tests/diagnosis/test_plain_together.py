@@ -22,7 +22,7 @@ MACHINE = machine_from(
 
 
 def line(seed: int, targets: int) -> Measurement:
-    """Fourteen runs to and fro over uneven targets: a scale, a backlash, a wave of the screw; and a zero that wanders."""
+    """Fourteen runs to and fro: a scale, a backlash, a wave of the screw; and a zero that wanders."""
     rng = np.random.default_rng(seed)
     there = np.linspace(10.0, 490.0, targets) + rng.uniform(-3.0, 3.0, targets)
     z = np.tile(np.concatenate([there, there[::-1]]), 14)
