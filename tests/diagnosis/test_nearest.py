@@ -3,7 +3,9 @@
 Oracle: what the readings were made of, on another day.
 """
 
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,6 +116,8 @@ def test_the_nearest_is_added_where_it_removes_most(law: object, most: float, fi
 def test_what_has_no_near_effect_gets_none() -> None:
     done = improve(Model(MACHINE, (), name="empty"), [day(ridge, 3, 1.0)], draws=50)
     assert (done.reason, done.steps) == ("unknown_effect", ())
+    page = improved_page(replace(done, files=(Path("model.toml"), Path("day.csv"))), figures=False)
+    assert page.next[0].startswith("rtec add model.toml --expr ")
 
 
 @pytest.mark.parametrize("law", [bump, joints])

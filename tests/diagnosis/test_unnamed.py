@@ -132,6 +132,23 @@ def at_few_targets(curve: Callable[[Floats], Floats], seed: int, count: int = 12
     return diagnose(Model(machine, known, name="known"), [m], draws=50, explain=True)
 
 
+def test_a_plate_that_waves_along_both_axes_depends_on_both() -> None:
+    """Nearly two periods along X, one and a half along Z. A surface of four by four had seen next to nothing of it."""
+    rng, machine = np.random.default_rng(3), small_machine()
+    x, z = (np.tile(v.ravel(), 6) for v in np.meshgrid(np.linspace(0.0, 200.0, 12), np.linspace(0.0, 300.0, 12)))
+    turn = 2.0 * np.pi * np.stack([x / 104.0 + 0.1, z / 185.0 + 0.5])
+    n = len(x)
+    readings = {f"reading_{c}_um": rng.normal(0.0, 0.4, n) for c in "xyz"}
+    readings["reading_y_um"] += 2.5 * np.sin(turn[0]) * np.sin(turn[1])
+    channels = {"x": x, "z": z, "T_bed": np.full(n, 20.0), "T_air": np.linspace(20.0, 20.5, n)}
+    made = make_instrument("tool_tip", {}, None, None, machine, "test")
+    m = Measurement("plate", made, machine, np.repeat(np.arange(1, 7), 144), 6.0 * np.arange(n), channels, readings)
+    d = diagnose(Model(machine), [m], draws=50)
+    assert d.unknown is not None
+    assert set(d.unknown.channels) == {"x", "z"}
+    assert d.unknown.r2 > 0.5  # most of it
+
+
 @pytest.mark.parametrize("seed", proof.few(range(4), 1))
 @pytest.mark.parametrize("form", ["hump", "step"])
 def test_a_hump_or_a_step_at_few_targets_is_no_curve_of_many_numbers(form: str, seed: int) -> None:

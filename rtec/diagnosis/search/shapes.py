@@ -303,7 +303,7 @@ def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
             *_pairs(group, (w.shape.over for w in plain[:PAIRS]), LEAN, LEAN),
             *_pairs(group, _leading(ground, leaders), PLANE, PLANE),
             *_pairs(group, _along(ground, moving, leaders), DETAIL, BEND),
-            *_pairs(group, itertools.combinations(fine, 2), LINE, LINE),
+            *_pairs(group, itertools.combinations(fine, 2), DETAIL, DETAIL),
         ]
         out += [*lines, *plain, *weigh_all(ground, projected, rich), *_waves(ground, projected, group, moving)]
         for name in fine:
