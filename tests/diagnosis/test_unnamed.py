@@ -142,7 +142,15 @@ def test_a_plate_that_waves_along_both_axes_depends_on_both() -> None:
     readings["reading_y_um"] += 2.5 * np.sin(turn[0]) * np.sin(turn[1])
     channels = {"x": x, "z": z, "T_bed": np.full(n, 20.0), "T_air": np.linspace(20.0, 20.5, n)}
     made = make_instrument("tool_tip", {}, None, None, machine, "test")
-    m = Measurement("plate", made, machine, np.repeat(np.arange(1, 7), 144), 6.0 * np.arange(n), channels, readings)
+    m = Measurement(
+        "plate",
+        made,
+        machine,
+        np.repeat(np.arange(1, 7), 144),
+        6.0 * np.arange(n, dtype=np.float64),
+        channels,
+        readings,
+    )
     d = diagnose(Model(machine), [m], draws=50)
     assert d.unknown is not None
     assert set(d.unknown.channels) == {"x", "z"}
