@@ -220,6 +220,22 @@ def about_runs(readings: Readings, left: Floats) -> Floats:
     return out
 
 
+ALONG = 0.5
+"""Share of its own mean square that an effect has within runs where it acts along them."""
+
+
+def along_runs(readings: Readings, columns: Floats) -> bool:
+    """Whether an effect, columns (m, k), changes mostly along the runs, as axes move; not from run to run."""
+    within = whole = 0.0
+    for s in readings.series:
+        part = columns[s.part]
+        whole += float(np.sum((part - part.mean(axis=0)) ** 2))
+        if _moves(readings, s):
+            mean = np.stack([np.bincount(s.run, c) for c in part.T], axis=1) / np.bincount(s.run)[:, None]
+            within += float(np.sum((part - mean[s.run]) ** 2))
+    return within > ALONG * whole
+
+
 def _moves(readings: Readings, s: Series) -> bool:
     """Whether an axis moves within the runs of a series."""
     first = np.flatnonzero(np.diff(s.run, prepend=-1))

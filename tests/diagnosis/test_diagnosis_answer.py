@@ -135,10 +135,17 @@ def test_what_hardly_moved_is_not_called_absent() -> None:
     assert why.startswith("at its usual size it adds ")
 
 
-@pytest.mark.parametrize(("size", "said"), [(1.396, "1.40 µm of the 1.40 µm residual"), (1.7, "compensate a part")])
-def test_an_effect_makes_no_more_of_what_is_left_than_there_is(size: float, said: str) -> None:
+@pytest.mark.parametrize(
+    ("known", "size", "said"),
+    [
+        ((), 1.396, "1.40 µm of the 1.40 µm residual"),
+        ((), 1.7, "explains all of the 1.40 µm residual"),
+        ((BACKLASH,), 1.7, "compensate a part"),
+    ],
+)
+def test_an_effect_makes_no_more_of_what_is_left_than_there_is(known: tuple[str, ...], size: float, said: str) -> None:
     """Oracle: sums. 1.7 of 1.4 µm would be nonsense, and is what a model leaves that follows the effect in part."""
-    d = diagnose(model(), [laser([SCREW], 6)])
+    d = diagnose(model(*known), [laser([SCREW, *known], 6)])
     finding = replace(d.findings[0], size_um=size)
     told = words.with_sentence(replace(d, verdict="missing_effect", findings=(finding,), rms_residual=1.4), 1.0)
     assert said in told.sentence

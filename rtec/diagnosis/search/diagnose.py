@@ -71,7 +71,7 @@ from rtec.diagnosis.search.unnamed import (
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
-from rtec.estimation.gls import held_out_gain
+from rtec.estimation.gls import along_runs, held_out_gain
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
@@ -357,9 +357,8 @@ class Search:
             pair = None  # two simple effects explain as much as a pair with a complex one
         so_far = [*refitted[:1], *(pair or ()), *chain]
         if p < self.alpha and (unknown is not None or _rich(so_far)):
-            shape = self._top_shape if unknown is not None else None
-            best = max(t.log_evidence for t in (*so_far, *([shape] if shape is not None else [])))
-            if lean := self._leaner(refitted, best):
+            shape = [self._top_shape] if self._top_shape is not None else []
+            if lean := self._leaner(refitted, max(t.log_evidence for t in (*so_far, *shape))):
                 pair, chain, unknown, along = None, lean, None, None
         chain = self._without_instrument(chain)
         self._doubt_files(chain, along)
@@ -710,11 +709,12 @@ class Search:
         return max((t.log_evidence for t in pairs), default=-math.inf)
 
     def _with_drift(self, best: Refitted, top: Shaped | None) -> float:
-        """Log evidence of the best effect beside a curve over the time, which is a drift.
+        """Log evidence of the best effect, which acts along the runs, beside a curve over the time, which is a drift.
 
-        Minus infinity where the shape does not read the time, or the effect does.
+        Minus infinity for other effects, and where the shape does not read the time, or the effect does.
         """
-        if top is None or self._of_time(self.candidates[best.number].effect):
+        timed = self._of_time(self.candidates[best.number].effect)
+        if top is None or timed or not along_runs(self.readings, best.columns):
             return -math.inf
         cost = best.fit.log_likelihood - best.log_evidence
         found = [-math.inf]
@@ -778,7 +778,7 @@ class Search:
             few = len(effect.coefficients(self.model.machine)) <= PLAIN
             return few and not self._of_time(effect) and self._separate(effect)
 
-        chain = self.refits.chain([first], bar, plain)
+        chain = self._without_instrument(self.refits.chain([first], bar, plain))
         return chain if len(chain) > 1 and chain[-1].log_evidence > evidence else []
 
     def _separate(self, effect: Effect) -> bool:

@@ -11,7 +11,7 @@ from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes, weigh
 from rtec.estimation import floor
 from rtec.estimation.display import display_errors, within_display
-from rtec.estimation.gls import Fit, HeldOutGain, about_runs, solve, without_nuisance
+from rtec.estimation.gls import Fit, HeldOutGain, along_runs, solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
 from rtec.machine import Machine
@@ -286,14 +286,16 @@ def without_idle(
             columns = ground.columns(shape)
             made = fit(np.concatenate([base, columns], axis=1))
             found.append(Shaped(shape, columns, made, top.log_evidence, *held_out_gain(made.whitener, columns)))
-    best = max((t for t in found if not _loses(t, top)), key=lambda t: t.drop, default=None)
+    best = max((t for t in found if not _loses(t, top, readings.machine)), key=lambda t: t.drop, default=None)
     if best is None:
         return top
     return _instead_of_time(best, ground, base, fit, held_out_gain)
 
 
-def _loses(one: Shaped, other: Shaped) -> bool:
-    """Whether one shape predicts held-out runs worse than another, or their readings about the mean of each."""
+def _loses(one: Shaped, other: Shaped, machine: Machine) -> bool:
+    """Whether one shape predicts held-out runs worse than another along an axis, or readings about the mean of each."""
+    if not set(machine.moving_channels) & set(other.shape.variables):
+        return 1.0 - one.drop > (1.0 + LOSES) * (1.0 - other.drop)
     return any(1.0 - a > (1.0 + LOSES) * (1.0 - b) for a, b in ((one.drop, other.drop), (one.within, other.within)))
 
 
@@ -324,7 +326,7 @@ def by_own_sensors(top: Shaped, others: Sequence[Shaped], machine: Machine) -> S
         for t in others
         if form(t) == form(top) and elsewhere(t) < elsewhere(top)
         if len(t.shape.variables) == len(top.shape.variables)
-        if t.log_evidence > NEARLY * top.log_evidence and not _loses(t, top)
+        if t.log_evidence > NEARLY * top.log_evidence and not _loses(t, top, machine)
     ]
     return max(near, key=lambda t: t.log_evidence, default=top)
 
@@ -364,16 +366,6 @@ def _instead_of_time(
     return max(found[1:], key=lambda t: t.fit.log_likelihood, default=top)
 
 
-ALONG = 0.5
-"""Share of its own mean square that an effect has within runs where it acts along them."""
-
-
-def _along(columns: Floats, readings: Readings) -> bool:
-    """Whether an effect acts along the runs."""
-    within = sum(float(np.sum(about_runs(readings, c) ** 2)) for c in columns.T)
-    return within > ALONG * sum(float(np.sum(without_nuisance(readings, c) ** 2)) for c in columns.T)
-
-
 def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Readings) -> float:
     """Part that columns explain, as a share of what the best shape explains, under the noise of each shape.
 
@@ -385,8 +377,8 @@ def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Re
         base: columns of the current model, (m, p).
         readings: the readings.
     """
-    out, moving = 1.0, {c for a in readings.machine.axes for c in a.moving_channels}
-    if _along(columns, readings):
+    out, moving = 1.0, set(readings.machine.moving_channels)
+    if along_runs(readings, columns):
         tops = [t for t in tops if moving & set(t.shape.variables)]
     for t in tops:
         if t.log_evidence <= 0.0:
