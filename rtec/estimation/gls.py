@@ -209,19 +209,17 @@ def held_out_gain(whitener: Weights, base: Floats, columns: Floats, kept: Floats
     return HeldOutGain(falls[0], float(np.mean(without - with_it)), falls[1])
 
 
+ALONG = 0.5
+"""Share of its own mean square that an effect has within runs where it acts along them."""
+
+
 def about_runs(readings: Readings, left: Floats) -> Floats:
     """Residuals about the mean of their run, (m,); as they are where no axis moves in the runs."""
     out = left.copy()
     for s in readings.series:
-        if not _moves(readings, s):
-            continue
-        mean = np.bincount(s.run, left[s.part]) / np.maximum(np.bincount(s.run), 1)
-        out[s.part] -= mean[s.run]
+        if _moves(readings, s):
+            out[s.part] = _about_means(s, left[s.part, None])[:, 0]
     return out
-
-
-ALONG = 0.5
-"""Share of its own mean square that an effect has within runs where it acts along them."""
 
 
 def along_runs(readings: Readings, columns: Floats) -> bool:
@@ -230,10 +228,14 @@ def along_runs(readings: Readings, columns: Floats) -> bool:
     for s in readings.series:
         part = columns[s.part]
         whole += float(np.sum((part - part.mean(axis=0)) ** 2))
-        if _moves(readings, s):
-            mean = np.stack([np.bincount(s.run, c) for c in part.T], axis=1) / np.bincount(s.run)[:, None]
-            within += float(np.sum((part - mean[s.run]) ** 2))
+        within += float(np.sum(_about_means(s, part) ** 2)) if _moves(readings, s) else 0.0
     return within > ALONG * whole
+
+
+def _about_means(s: Series, columns: Floats) -> Floats:
+    """Columns of a series about their means of each run, (n, k)."""
+    sums = np.stack([np.bincount(s.run, c) for c in columns.T], axis=1)
+    return np.asarray(columns - (sums / np.maximum(np.bincount(s.run), 1)[:, None])[s.run])
 
 
 def _moves(readings: Readings, s: Series) -> bool:

@@ -782,7 +782,8 @@ class Refits:
         candidate = self.candidates[number]
         # A wave of any period fits some targets. A bump between two places of the grid is found only where it is.
         thetas = candidate.thetas if isinstance(candidate.effect, WAVES) else (*candidate.thetas, theta)
-        if judged.drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, thetas):
+        falls = max(judged.drop, judged.within) > 0.0
+        if falls and not predicts_targets(self.readings, beside, candidate.effect, thetas):
             return HeldOutGain(0.0, min(judged.gain, 0.0), 0.0)
         return judged._replace(within=math.nan) if self.at_instant(number) else judged
 
