@@ -24,6 +24,8 @@ STEPS = 30
 BEYOND = 1.959964
 """Standard errors within which 95 % of all results are."""
 LEAST_FREEDOM = 3.0
+CLEARLY = 0.06
+"""Share by which ordinary least squares is worse about the means of runs where the weighted fit is clearly better."""
 WORSE = 1.04
 """Mean squares on held-out runs within this factor are equally good."""
 
@@ -146,6 +148,6 @@ def better_within_runs(weighed: HeldOut, plain: HeldOut) -> bool:
     others better than the machine's own numbers do, but no other day.
     """
     more = plain.within - weighed.within
-    if float(more.sum()) <= (WORSE - 1.0) * float(weighed.within.sum()):
+    if float(more.sum()) <= CLEARLY * float(weighed.within.sum()):
         return False
     return len(more) > 1 and float(more.sum()) > float(np.std(more, ddof=1)) * np.sqrt(len(more))

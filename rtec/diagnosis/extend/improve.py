@@ -189,6 +189,8 @@ def improve(
     return replace(done, events=tuple(growth.events))
 
 
+MOVED = 0.25
+"""A refit in which no number moves by more than this share of its standard error is none."""
 GOES_ON: tuple[Reason, ...] = ("no_gain", "nothing_missing")
 """Reasons for which a search may end too early."""
 SET_FREE, CLEAR_FALL = 0.5, 0.1
@@ -329,6 +331,8 @@ class _Growth:
             return None
         if alone and one_pass(self.given.readings) and not _at_floor(made):
             return None  # the numbers would absorb the missing effect: position, direction and heat are confounded
+        if not _moves(model, made.model):
+            return None  # with other weights the error is lower, but the numbers are the same
         return made
 
     def diagnosed(self, model: Model, explain: bool = False) -> Diagnosis:
@@ -688,6 +692,15 @@ def _between(added: Added) -> bool:
     if mine is None or mine in [getattr(f.effect, "sensor", None) for f in body]:
         return True
     return sum(f.values[n] * v for f in body for n, v in last.values.items()) >= 0.0
+
+
+def _moves(before: Model, after: Model) -> bool:
+    """Whether a refit moves a number by more than `MOVED` of its standard error."""
+    return any(
+        abs(now.values[n] - was.values[n]) > MOVED * now.errors.get(n, 0.0)
+        for was, now in zip(before.effects, after.effects, strict=True)
+        for n in now.values
+    )
 
 
 def _determined(before: Model, added: Added) -> bool:

@@ -38,6 +38,7 @@ from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect, Parameter
+from rtec.effects.cyclic import Cyclic
 from rtec.errors import RtecError
 from rtec.estimation import floor
 from rtec.estimation.candidates import EffectCandidate, Untried, same_effects
@@ -229,7 +230,8 @@ class _Answer:
         """Whether another wave is the winner's only because its free period happens to be that of the screw."""
         mine, other = (self.s.candidates[n].effect for n in (winner.number, number))
         machine = self.s.model.machine
-        return coincides(other, theta, machine) and not coincides(mine, winner.theta, machine)
+        wave = isinstance(mine, Cyclic) and not coincides(mine, winner.theta, machine)
+        return wave and coincides(other, theta, machine)
 
     def _disputes(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether held-out runs favour an effect that the evidence ranks behind the winner; or hardly distinguish the
