@@ -31,7 +31,7 @@ def slipped(readings: Readings) -> list[MovedZero]:
         size = f"{significant(abs(by), 2)} {ERROR_UNITS[s.unit]}"
         message = (
             f"{m.name} {s.column} jumps by {size} at {s.time_s[at + 1]:.0f} s, from one reading to the next, while no "
-            "axis moves and nothing recorded changes: did the probe slip, or was it touched?"
+            "axis moves and neither speed nor load changes: did the probe slip, or was it touched?"
         )
         first, last = (int(m.run[s.row[k]]) for k in (at + 1, -1))
         out.append(MovedZero(i, first, last, by, after, message))

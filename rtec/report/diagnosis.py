@@ -163,12 +163,13 @@ def _draw_amplitudes(ax: "Axes", unit: str, a: Amplitudes) -> None:
 
 
 @as_png
-def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
+def rivals(rows: Sequence[tuple[str, float, bool, str]], title: str) -> "MplFigure":
     """Bars of the share of the residual that each candidate explains on held-out runs, best on top.
 
     Args:
         rows: label, relative fall of the mean square, whether it belongs to the winner's group, and a short reason why
             it is preferred or not.
+        title: above the bars.
     """
     figure, (ax,) = stacked(0.74 * len(rows) + 2.0)
     groups = (("named, or confounded with what is named", ON, ""), ("not preferred", "#BBBBBB", "//"))
@@ -184,8 +185,7 @@ def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
     ax.set_yticks([])
     ax.set_xlim(0, 119)
     ax.set_xticks(range(0, 101, 20))
-    figure.suptitle("How much of the residual each candidate explains, and how likely it is", x=0.01, ha="left",
-                    fontsize=17, fontweight="bold")  # fmt: skip
+    figure.suptitle(title, x=0.01, ha="left", fontsize=17, fontweight="bold")
     ax.set_xlabel("fall of the mean square residual on held-out runs, %")
     ax.grid(visible=False, axis="y")
     # One entry each, in the order of the list, above the bars, where there is always room.
@@ -380,11 +380,27 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
         out += [on_its_circle(q, q.circle) for q in (p, *p.others) if q.circle is not None]
     if not d.findings:
         return [*out, Section("Candidates", ["Noise alone would give as good a fit as the best of them."])]
-    figure, shown = None, d.findings[:SHOWN]
-    if figures and any(f.heldout_drop >= NO_BETTER for f in shown):  # else there is no bar to look at
-        rows = [(n, f.heldout_drop, f.group, _short(d, f)) for f, n in zip(shown, labels(shown), strict=True)]
-        figure = Figure("rivals.png", rivals(rows), "Fall of the held-out error with each candidate.")
+    figure, rows = None, bars(d) if figures else []
+    if any(drop >= NO_BETTER for _, drop, _, _ in rows):  # else there is no bar to look at
+        title = ADDED_UP if len(d.together) > 1 else EACH_ALONE
+        figure = Figure("rivals.png", rivals(rows, title), "Fall of the held-out error with each candidate.")
     return [*out, Section("Candidates, best first", _candidate_words(d), _candidates(d), figure)]
+
+
+EACH_ALONE = "How much of the residual each candidate explains, and how likely it is"
+ADDED_UP = "How much of the residual is explained, effect by effect"
+
+
+def bars(d: Diagnosis) -> list[tuple[str, float, bool, str]]:
+    """Rows of `rivals`: the candidates, or the effects that are named together; none where the record is in doubt."""
+    if any(b.blames_no_effect for b in d.doubts):
+        return []
+    if len(d.together) > 1:
+        names = labels([m.fitted for m in d.together])
+        words = ["alone", *("with those above it" for _ in names[1:])]
+        return [(n, m.heldout_drop, True, w) for m, n, w in zip(d.together, names, words, strict=True)]
+    shown = d.findings[:SHOWN]
+    return [(n, f.heldout_drop, f.group, _short(d, f)) for f, n in zip(shown, labels(shown), strict=True)]
 
 
 def on_its_circle(p: Picture, circle: OnCircle) -> Section:

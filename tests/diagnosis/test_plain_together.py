@@ -8,6 +8,7 @@ from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.report.diagnosis import bars
 from tests.support.machines import axis
 
 MACHINE = machine_from(
@@ -44,3 +45,6 @@ def test_three_plain_effects_are_no_curve_of_many_knots(seed: int, targets: int)
     d = diagnose(Model(MACHINE), [line(seed, targets)], draws=50)
     assert {m.fitted.effect.effect for m in d.together} == {"scale", "backlash", "cyclic_screw"}
     assert not any("cyclic_pole" in r for m in d.together for r in m.rivals)
+    drawn = bars(d)  # what is named, one on top of the other
+    assert [chosen for _, _, chosen, _ in drawn] == [True] * 3
+    assert [drop for _, drop, _, _ in drawn] == sorted(drop for _, drop, _, _ in drawn)

@@ -22,6 +22,7 @@ from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.report.diagnosis import bars
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
 from tests.support.machines import axis
@@ -377,6 +378,7 @@ def test_a_probe_that_slips_is_named_with_its_instant() -> None:
     assert by is not None
     assert float(by[1]) == pytest.approx(4.0, abs=0.8)  # with the noise of two readings
     assert f"at {good.time_s[at]:.0f} s" in doubt.message
+    assert not bars(diagnose(model, [slip], draws=50))  # of candidates beside a record in doubt
     fit = rtec.fit(slip.machine, [slip])
     assert any(w.code == "moved_zero" and "jumps by" in w.text for w in fit.warnings)
     loaded = np.where(np.arange(len(good)) < at, 0.0, 400.0)

@@ -79,6 +79,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "rivals": lambda: drawn(
         diagnosis.rivals,
         [("scale(EXX, X)", 0.98, True, "99% probable"), ("backlash(EXX, X)", 0.1, False, "less likely")],
+        diagnosis.EACH_ALONE,
     ),
     "hil": lambda: drawn(hil.tip_errors, HOURS, [("X", NOISE[:25], NOISE[25:50])], [("silent", 3.0, 6.0)]),
     "shape": lambda: drawn(
