@@ -3,6 +3,7 @@
 Oracle: a ball on a turning table, worked out here with rotations; the table's axis is off by known amounts, or is not.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.doubts.rotary import turned_with
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import clean
 from rtec.metrology.files.load import save_measurement
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -105,6 +109,85 @@ def test_an_effect_of_a_linear_axis_is_named_beside_an_angle(seed: int, angles: 
     assert not [d for d in found.doubts if d.kind == "not_read"]
     assert found.findings[0].accepted
     assert found.findings[0].label == "scale(EXX, X)"
+
+
+def stays(seed: int, angle_of_run: Floats, error_um: Floats, readings: int = 12) -> Measurement:
+    """Every run is measured at one angle; its error is that of the run, in X."""
+    x = np.tile(np.linspace(10.0, 190.0, readings), len(angle_of_run))
+    each = np.stack([np.repeat(error_um, readings), 0.0 * x], axis=1)
+    m = tip(np.stack([x, 60.0 + 0.0 * x], axis=1), each, np.repeat(angle_of_run, readings), seed)
+    return replace(m, run=np.repeat(np.arange(len(angle_of_run)) + 1, readings))
+
+
+def doubted(m: Measurement) -> list[str]:
+    return [d.message for d in turned_with(Judgement(MODEL, clean([m], MODEL.reference_degc)))]
+
+
+@pytest.mark.parametrize("seed", proof.few(range(5), 2))
+@pytest.mark.parametrize("angles", [(0.0, 90.0, 180.0, 270.0), (0.0, 30.0)])
+def test_a_table_indexed_between_runs_is_no_drift(seed: int, angles: tuple[float, ...]) -> None:
+    """Oracle: 9 µm at 0° turn with the table; the order of the angles is drawn, so no drift has it."""
+    rng = np.random.default_rng(seed)
+    angle = rng.permutation(np.resize(angles, 16))
+    m = stays(seed, angle, 9.0 * np.cos(np.deg2rad(angle if len(angles) > 2 else 6.0 * angle)))
+    found = diagnose(MODEL, [m])
+    assert [d.kind for d in found.doubts if d.fatal] == ["not_read"]
+    assert "The residual depends on b_deg" in found.sentence
+
+
+@pytest.mark.parametrize("angles", [(0.0, 90.0, 180.0, 270.0), (0.0, 30.0), tuple(np.arange(0.0, 360.0, 22.5))])
+@pytest.mark.parametrize("rise", [0.0, 1.0])
+def test_a_drift_beside_a_table_that_is_indexed_is_none_of_its_doing(angles: tuple[float, ...], rise: float) -> None:
+    """Oracle: means of runs that wander or rise, and that know nothing of the angle."""
+    for seed in range(proof.of(300, 40)):
+        rng = np.random.default_rng(1000 + seed)
+        angle = np.resize(angles, 16)
+        angle = np.sort(angle) if seed % 3 == 0 else rng.permutation(angle) if seed % 3 == 1 else angle
+        drift = np.cumsum(rng.normal(rise, 2.0, 16)) if seed % 2 else rng.normal(0.0, 3.0, 16)
+        assert not doubted(stays(seed, angle, drift)), seed
+
+
+def with_direction(m: Measurement, own: Floats, angle_deg: Floats) -> Measurement:
+    """The tip's readings with an error of its own, and directions of X and Z."""
+    ways = {f"dir_{a}": np.sign(np.gradient(m.channels[a]) + 1e-9) for a in "xz"}
+    readings = {n: v + own[:, i] for i, (n, v) in enumerate(m.readings.items())}
+    return replace(m, channels={**m.channels, **ways}, readings=readings, unread={"b_deg": angle_deg})
+
+
+def overrun() -> Floats:
+    """Direction of the table that goes there and back, and overruns where it turns."""
+    return np.repeat([1.0 if k % 2 == 0 else -1.0 for k in range(ROUNDS)], 25)
+
+
+@pytest.mark.parametrize("seed", proof.few(range(5), 2))
+def test_a_backlash_of_the_table_is_none_of_a_linear_axis(seed: int) -> None:
+    """Oracle: a table that lags by 40 µrad either way, under a ball at 80 mm."""
+    m = on_a_ball(seed, (0.0, 0.0))
+    turned = np.deg2rad(m.unread["b_deg"])
+    lag = 0.08 * 40.0 * overrun()[:, None] * np.stack([-np.sin(turned), np.cos(turned)], axis=1)
+    assert "its direction lower it" in doubted(with_direction(m, lag, m.unread["b_deg"]))[0]
+
+
+@pytest.mark.parametrize("seed", proof.few(range(5), 2))
+def test_a_backlash_of_a_linear_axis_is_none_of_the_table(seed: int) -> None:
+    """Oracle: X lags by 3 µm either way on the ball's circle."""
+    m = on_a_ball(seed, (0.0, 0.0))
+    way = np.sign(-overrun() * np.sin(np.deg2rad(m.unread["b_deg"])) + 1e-9)
+    moved = with_direction(m, np.stack([3.0 * way, 0.0 * way], axis=1), m.unread["b_deg"])
+    assert not doubted(replace(moved, channels={**moved.channels, "dir_x": way}))
+
+
+@pytest.mark.parametrize("seed", proof.few(range(5), 2))
+def test_waves_of_a_worm_are_none_of_a_screw(seed: int) -> None:
+    """Oracle: a worm of 90 teeth, read at every degree of an arc, and a screw of 8 mm there."""
+    angle = np.tile(np.arange(0.0, 40.0), ROUNDS)
+    at = CENTRE + np.einsum("nij,j->ni", turn(angle), np.array([80.0, 0.0]))
+    turned = np.deg2rad(angle)
+    round_it = np.stack([-np.sin(turned), np.cos(turned)], axis=1)
+    worm = tip(at, 2.0 * np.cos(90.0 * turned)[:, None] * round_it, angle, seed)
+    assert "waves of about 4° lower it" in doubted(worm)[0]
+    screw = 2.0 * np.stack([0.0 * turned, np.cos(2.0 * np.pi * at[:, 1] / 8.0)], axis=1)
+    assert not doubted(tip(at, screw, angle, seed))
 
 
 def test_every_command_says_once_what_is_not_read(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
-"""Readings that depend on a column that nothing reads, as the angle of a rotary axis: any other name would be wrong."""
+"""Readings that follow a column that nothing reads, as a humidity: any other name would be wrong."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +10,7 @@ from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
-from rtec.estimation.readings import Readings, Series
+from rtec.estimation.readings import Readings
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.unread import is_rotary, joined, not_read, ranged
 from rtec.wording import ERROR_UNITS, listed, sizes
@@ -19,13 +18,7 @@ from rtec.wording import ERROR_UNITS, listed, sizes
 Floats = NDArray[np.float64]
 
 MOSTLY = 0.5
-"""Share of the mean square that the angles must leave at most, and share of a position's variance below which it
-follows the angles, as on a ball on a rotary table."""
-ABOVE_NOISE = 1.5
-"""A residual below this many times noise and slow drift together depends on nothing."""
-READINGS_PER_NUMBER = 3
-NEXT = "Measure with each rotary axis at one angle, or leave these readings out."
-
+"""Share of the mean square that the column must leave at most."""
 FOLLOWS, LIKE_RANKS, SAME_SLOPE = 0.9, 0.8, 0.75
 """Correlation of the residual with a column from which on it follows it, in the record and in both of its halves; of
 their ranks; and smaller slope of a half over the larger."""
@@ -38,34 +31,6 @@ HOLD = (
     "No effect can read that column. Hold constant what it shows while you measure, or leave these readings out; a "
     "temperature can be a sensor of the machine file."
 )
-
-
-def turned_with(judged: Judgement) -> list[Doubt]:
-    """A doubt where most of the residual depends on angles that nothing reads.
-
-    Without them stand the positions that do not follow the angles; with them cosine and sine of each angle, by
-    themselves and times each position, and all positions.
-    """
-    readings = judged.readings
-    turned = [_angles(readings, i) for i in range(len(readings.measurements))]
-    if not any(turned) or judged.residual < ABOVE_NOISE * math.hypot(judged.noise_floor, judged.drift):
-        return []
-    without, with_them = judged.left.copy(), judged.left.copy()
-    for s in readings.series:
-        if turned[s.source]:
-            without[s.part], with_them[s.part] = _left(judged, s, turned[s.source])
-    before, after = judged.pooled(without), judged.pooled(with_them)
-    if after**2 > MOSTLY * before**2:
-        return []
-    all_angles = joined(turned)
-    named = " and ".join(ranged(n, v) for n, v in all_angles.items())
-    there, here = sizes(judged.residual, after)
-    unit = ERROR_UNITS[judged.unit]
-    message = (
-        f"The residual depends on {named}, which rtec does not read: cosine and sine of the angle lower it from "
-        f"{there} to {here} {unit}. rtec has no rotary axes, so that any name of this error would be wrong."
-    )
-    return [Doubt("not_read", message, NEXT, fatal=True)]
 
 
 def follows(judged: Judgement) -> list[Doubt]:
@@ -166,44 +131,3 @@ def not_logged_beside(measurements: Sequence[Measurement]) -> str:
 def _varies(measurement: Measurement, sensor: str) -> bool:
     values = measurement.channels.get(sensor)
     return values is not None and float(np.ptp(values)) > REAL["degc"]
-
-
-def _angles(readings: Readings, source: int) -> dict[str, Floats]:
-    """The angles of a file, in degrees or in rad as their names say, (n,) each."""
-    return {n: v for n, v in readings.measurements[source].unread.items() if is_rotary(n)}
-
-
-def _left(judged: Judgement, s: Series, angles: dict[str, Floats]) -> tuple[Floats, Floats]:
-    """What positions leave of the residual of a series, and what angles leave, each as of as many numbers as free."""
-    left, rows = judged.left[s.part], s.row
-    turns = [_rad(n, v[rows]) for n, v in angles.items()]
-    waves = [f(np.nan_to_num(t)) for t in turns for f in (np.cos, np.sin)]
-    places = [p / np.ptp(p) for p in judged.readings.poses_mm[s.source][rows].T if np.ptp(p) > 0.0]
-    own = [p for p in places if _rest(p, np.stack(waves, axis=1)) > MOSTLY * np.var(p)]
-    products = [p * w for p in places for w in waves]
-    return _leaves(judged, s, left, own), _leaves(judged, s, left, [*waves, *places, *products])
-
-
-def _rad(name: str, values: Floats) -> Floats:
-    return values if name.rstrip(")]").endswith("rad") else np.deg2rad(values)
-
-
-def _rest(values: Floats, columns: Floats) -> float:
-    """Mean square that a constant and columns, (n, p), leave of values."""
-    with_one = np.column_stack([np.ones(len(values)), columns])
-    solved = np.linalg.lstsq(with_one, values, rcond=None)[0]
-    return float(np.mean((values - with_one @ solved) ** 2))
-
-
-def _leaves(judged: Judgement, s: Series, left: Floats, parts: list[Floats]) -> Floats:
-    """The residual of a series without what some columns explain."""
-    if not parts:
-        return left
-    whole = np.zeros((len(judged.readings), len(parts)))
-    whole[s.part] = np.stack(parts, axis=1)
-    columns = floor.cleaned(judged.readings, whole)[s.part]
-    solved, _, rank, _ = np.linalg.lstsq(columns, left, rcond=1e-6)
-    free = len(left) - int(rank)
-    if len(left) < READINGS_PER_NUMBER * int(rank):
-        return left
-    return np.asarray((left - columns @ solved) * np.sqrt(len(left) / free))

@@ -14,7 +14,8 @@ from rtec.diagnosis.doubts.doubt import ALONE, Doubt, Kind
 from rtec.diagnosis.doubts.edited import BETTER, edited_record, moves
 from rtec.diagnosis.doubts.edits import Edit
 from rtec.diagnosis.doubts.implausible import implausible
-from rtec.diagnosis.doubts.not_read import follows, turned_with
+from rtec.diagnosis.doubts.not_read import follows
+from rtec.diagnosis.doubts.rotary import turned_with
 from rtec.effects import State
 from rtec.estimation import floor
 from rtec.estimation.contradiction import contradiction
