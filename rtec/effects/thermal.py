@@ -287,13 +287,13 @@ class BedBending(ColumnTilt, AxisEffect):
 
 
 class MountExpansion(OneSensor):
-    """A part between mounting and measuring point grows: `e = k ΔT`."""
+    """A part between mounting and measuring point grows, or turns: `e = k ΔT`."""
 
     about: ClassVar[About] = About(
-        title="Temperature term: expansion of a mounting",
+        title="Temperature term: expansion or tilt of a mounting",
         equation="e = k·ΔT",
-        typical="1-20 µm",
-        seen_by=("spindle_drift", "tool_tip"),
+        typical="1-20 µm, 1-10 µrad/K",
+        seen_by=("spindle_drift", "level", "tool_tip"),
         source="[G 3.6]",
         confusions=(
             Confusion(
@@ -302,9 +302,17 @@ class MountExpansion(OneSensor):
             Confusion("column_tilt", "a tilt, times the arm", "two heights"),
             Confusion("ambient_drift", "the room warms everything", "change the room with the machine at rest"),
         ),
-        reveal="drift probes, or the zero of a laser left in place",
+        reveal="drift probes, or the zero of a laser left in place; for a tilt a level, or probes at two heights",
     )
-    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "straightness", "link")
+    feeds: ClassVar[tuple[Kind, ...]] = (
+        "positioning",
+        "straightness",
+        "link",
+        "tilt",
+        "roll",
+        "axis_angle",
+        "link_angle",
+    )
     driven_by: ClassVar[tuple[str, ...]] = ("temperature",)
     effect: Literal["mount_expansion"] = "mount_expansion"
 
@@ -315,13 +323,13 @@ class MountExpansion(OneSensor):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every sensor without an effect of its own: not the coolant's, nor along the spindle the spindle's.
+        """Every sensor without an effect of its own: not the coolant's, nor the spindle's along it and for its tilt.
 
         Each also delayed, for a body that warms up after its sensor; of the air, `ambient_drift` is that.
         """
         kind = component_kind(around.component, around.machine)
         taken = set(_in_coolant(around)) if kind in CoolantExpansion.feeds else set()
-        if kind == "link" and around.component[1] == "Z":
+        if kind == "link_angle" or (kind == "link" and around.component[1] == "Z"):
             own = set(named(around.sensors, "spindle"))
             taken |= own if len(own) < len(around.sensors) else set()
         left = [s for s in around.sensors if s not in taken]

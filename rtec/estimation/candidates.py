@@ -12,7 +12,7 @@ from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import GROWTHS, PITCH_MM, Cyclic, CyclicPole
 from rtec.effects.registry import SKIPPED, all_effects, instances, lacking
-from rtec.effects.thermal import AxisExpansion, BedBending, ColumnTilt
+from rtec.effects.thermal import AxisExpansion, BedBending, ColumnTilt, MountExpansion
 from rtec.effects.time_data import MissedCounts
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
@@ -37,6 +37,8 @@ PAUSE, PAUSES = 3.0, 80
 MOST_PERIODS, FINE = 6000, 2.5
 """Periods in the grid, at most, and how many for each turn more along the travel: neighbours differ by 0.4 turns over
 the whole of it. Of an axis so long that these do not reach the shortest period, the shortest ones are not tried."""
+OF_FEET = (ColumnTilt, MountExpansion)
+"""What turns a fixed part: its heat."""
 ONE_ARM = 1e-3
 """Lever arms within this relative difference are equal."""
 SAME_ARMS = 1e-9
@@ -91,7 +93,7 @@ def library(
     for seen in (*shown, *feet):
         around = surroundings(readings, seen)
         for name, kind in kinds.items():
-            if (only is not None and name not in only) or (seen in feet and kind is not ColumnTilt):
+            if (only is not None and name not in only) or (seen in feet and kind not in OF_FEET):
                 continue
             usual = [e for e in instances(kind, around) if not _of_position(e, seen, readings)]
             known = [f for f in there if type(f.effect) is kind and f.effect.component == seen.name]
@@ -110,7 +112,7 @@ def library(
 
 
 def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> bool:
-    """Whether an effect is an angle that grows linearly or jumps, and shifts read it at one lever arm only.
+    """Whether an effect is an angle that grows linearly, jumps or warms, and shifts read it at one lever arm only.
 
     These readings cannot distinguish it from a scale, a squareness or a straightness; each of them is a candidate too.
     An angle by heat is none for shifts at several arms either: it would stand for a screw that grows, whose temperature
@@ -118,7 +120,7 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
     jumps: where shifts are read, the set-up jumped.
     """
     grows = 1 in getattr(effect, "degrees", ()) or isinstance(effect, BedBending | AxisExpansion | MissedCounts)
-    if not grows or component_unit(seen.name) != "urad":
+    if not (grows or type(effect) is MountExpansion) or component_unit(seen.name) != "urad":
         return False
     arms = readings.arms(seen.name)
     mine = [arms[s.part] for s in readings.series if arms[s.part].any()]
@@ -232,7 +234,7 @@ def on_part(part: str, sensors: Iterable[str]) -> bool:
 
 
 def _feet(readings: Readings, found: Sequence[VisibleComponent]) -> list[VisibleComponent]:
-    """Turns of fixed parts that carry a moving axis, such as a column; only where readings in two directions see them.
+    """Turns of fixed parts, such as a column or a rotary table; only where readings in two directions see them.
 
     One direction cannot distinguish them from turns of an axis; the ratio of two shows where the foot is.
 
@@ -241,11 +243,8 @@ def _feet(readings: Readings, found: Sequence[VisibleComponent]) -> list[Visible
         found: other components that they see.
     """
     machine = readings.machine
-    moving = {a.name for a in machine.axes if any(moves(m, a) for m in readings.measurements)}
-    names: list[str] = []
-    for chain in (machine.work_chain, machine.tool_chain):
-        last = max((i for i, n in enumerate(chain) if n in moving), default=0)
-        names += [f"E{angle}0{n}" for n in chain[:last] if n not in machine.axis_names for angle in "ABC"]
+    fixed = [n for n in (*machine.work_chain, *machine.tool_chain) if n not in machine.axis_names]
+    names = [f"E{angle}0{n}" for n in fixed for angle in "ABC"]
 
     def in_two_directions(name: str) -> bool:
         arms = readings.arms(name)

@@ -78,7 +78,7 @@ def visible_components(measurements: Sequence[Measurement]) -> list[VisibleCompo
 
     An instrument that names its component reads that one; errors that it sees through lever arms are for other
     instruments. Among fixed links only the spindle's errors are candidates, or without a link of that name those of the
-    first link of the work chain: constant errors of one link or another look the same.
+    first link that they see, of the work chain first: constant errors of one link or another look the same.
     """
     machine = measurements[0].machine
     between = moved_between(measurements)
@@ -161,7 +161,8 @@ def moved_between(measurements: Sequence[Measurement]) -> set[str]:
 def _through_arms(m: Measurement, machine: Machine, between: Collection[str] = ()) -> list[str]:
     there = longest_arms(m) > NO_ARM
     moving = {a.name for a in machine.axes if moves(m, a)}
-    links = {*moving, _spindle(machine)}
+    seen = {c[3:] for c, ok in zip(machine.components, there, strict=True) if ok}
+    links = {*moving, _spindle(machine, seen)}
     # Of an axis that only differs between files an angle shows by its arm; a shift is a zero of each file.
     turning = [f"E{letter}{axis}" for axis in between for letter in "ABC"]
     names = [
@@ -173,8 +174,9 @@ def _through_arms(m: Measurement, machine: Machine, between: Collection[str] = (
     return sorted(names, key=lambda c: (_axis_name(c, machine) is not None, machine.components.index(c)))
 
 
-def _spindle(machine: Machine) -> str:
-    fixed = [n for n in (*machine.work_chain, *machine.tool_chain) if n not in machine.axis_names]
+def _spindle(machine: Machine, seen: Collection[str]) -> str:
+    """The spindle's link, or without one of that name the first fixed link that an instrument sees."""
+    fixed = [n for n in (*machine.work_chain, *machine.tool_chain) if n not in machine.axis_names and n in seen]
     named = [n for n in fixed if "spindle" in n.lower() or n.lower() == "s"]
     return (named or fixed or [""])[0]
 

@@ -3,6 +3,7 @@
 Oracle: what was hidden.
 """
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,6 +72,21 @@ def test_a_number_that_made_up_for_what_is_missing_has_not_changed() -> None:
     assert d.findings[0].effect.effect == "guide_curvature"
     assert d.findings[0].accepted
     assert "scale(EXX, X)" not in [c.effect for c in d.changed]
+
+
+def test_a_number_has_changed_by_what_it_changes_beside_what_is_missing() -> None:
+    """A pitch that grows along X shows as a scale as well. The scale did change, by less than it seems without it."""
+    truth = ["scale,component=EXX,axis=X,k=13", *KNOWN[1:], "guide_curvature,component=EBX,axis=X,k=250"]
+    quiet = {"white_um": 0.3, "drift_um": 0.2, "drift_tau_s": 2400.0}
+    lines = [
+        laser(truth, i, setup={"beam_offset_mm": [0.0, 0.0, at]}, noise=quiet) for i, at in enumerate((0.0, 100.0))
+    ]
+    d = diagnose(known(), lines, draws=50, explain=True)
+    assert d.findings[0].label == "guide_curvature(EBX, X)"
+    assert not d.sentence.startswith("Numbers of the model"), d.sentence
+    now = re.search(r"Beside what is named, .*scale\(EXX, X\) k from 8\.0\d* to ([\d.]+) ", d.sentence)
+    assert now is not None, d.sentence
+    assert float(now[1]) == pytest.approx(13.0, abs=2.0)
 
 
 def test_the_next_command_refits_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

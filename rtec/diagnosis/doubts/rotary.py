@@ -107,30 +107,30 @@ class _Turned:
         return [f(t) for t in self.turns for f in (np.cos, np.sin)]
 
     @cached_property
-    def places(self) -> list[Floats]:
-        """Each position that varies."""
+    def places(self) -> dict[int, Floats]:
+        """Each position that varies, by the number of its axis."""
         poses = self.judged.readings.poses_mm[self.series.source][self.series.row]
-        return [p / np.ptp(p) for p in poses.T if np.ptp(p) > 0.0]
+        return {i: p / np.ptp(p) for i, p in enumerate(poses.T) if np.ptp(p) > 0.0}
 
     @cached_property
-    def following(self) -> list[Floats]:
+    def following(self) -> dict[int, Floats]:
         """Positions that follow the angles."""
         circles = np.stack(self.circles, axis=1)
-        return [p for p in self.places if _rest(p, circles) <= MOSTLY * np.var(p)]
+        return {i: p for i, p in self.places.items() if _rest(p, circles) <= MOSTLY * np.var(p)}
 
     @cached_property
     def known(self) -> list[Floats]:
         """Positions that do not follow the angles, and directions of the axes."""
         readings, part = self.judged.readings, self.series.part
         ways = [readings.channel(a.direction_channel)[part] for a in readings.machine.axes]
-        followed = {id(p) for p in self.following}
-        own = [p for p in self.places if id(p) not in followed]
+        own = [p for i, p in self.places.items() if i not in self.following]
         return own + [w for w in ways if np.isfinite(w).all() and np.ptp(w) > 0.0]
 
     @cached_property
     def turning(self) -> list[Floats]:
         """What turns with the angles, by itself and times each position."""
-        return [*self.circles, *self.places, *(p * w for p in self.places for w in self.circles)]
+        places = list(self.places.values())
+        return [*self.circles, *places, *(p * w for p in places for w in self.circles)]
 
     @cached_property
     def backlash(self) -> list[Floats]:
@@ -147,15 +147,13 @@ class _Turned:
             for w in (np.cos(number * t), np.sin(number * t))
         ]
 
-    def waves_along(self, number: int) -> list[Floats]:
-        """So many waves along each position that follows the angles, steady and growing."""
-        phases = [2.0 * np.pi * number * p for p in self.following]
-        return [
-            g * f(q)
-            for p, q in zip(self.following, phases, strict=True)
-            for g in (1.0, p - p.mean())
-            for f in (np.cos, np.sin)
-        ]
+    def waves_along(self, axis: int, number: int) -> list[Floats]:
+        """So many waves along a position that follows the angles, steady and growing; none where it does not."""
+        if axis not in self.following:
+            return []
+        place = self.following[axis]
+        phase = 2.0 * np.pi * number * place
+        return [g * f(phase) for g in (1.0, place - place.mean()) for f in (np.cos, np.sin)]
 
     @cached_property
     def most_waves(self) -> int:
@@ -203,10 +201,11 @@ def _fit(parts: Sequence[_Turned], view: View, columns: Columns) -> _Fit:
     for p in parts:
         target, made = p.seen(view, columns)
         solved, _, rank, _ = np.linalg.lstsq(made, target, rcond=1e-6)
-        if len(target) < READINGS_PER_NUMBER * int(rank):
-            solved, rank = 0.0 * solved, 0
+        count = int(rank)
+        if len(target) < READINGS_PER_NUMBER * count:
+            solved, count = 0.0 * solved, 0
         left += float(np.sum((target - made @ solved) ** 2))
-        free, numbers = free + len(target) - int(rank), numbers + int(rank)
+        free, numbers = free + len(target) - count, numbers + count
         explained[p.series.part] = np.stack([*columns(p), *p.ones], axis=1) @ solved
     return _Fit(left, free, numbers, explained)
 
@@ -254,8 +253,9 @@ def _waves(parts: Sequence[_Turned], view: View) -> tuple[str, Floats] | None:
     number, found = best(_Turned.waves, range(FEWEST_WAVES, most + 1))
     if not found.beats(_fit(parts, view, lambda p: [*p.known, *p.turning]), most):
         return None
-    if any(p.following for p in parts) and found.mean > MOSTLY * best(_Turned.waves_along, range(1, most + 1))[1].mean:
-        return None
+    for axis in sorted({i for p in parts for i in p.following}):
+        if found.mean > MOSTLY * best(lambda p, n, i=axis: p.waves_along(i, n), range(1, most + 1))[1].mean:  # type: ignore[misc]
+            return None
     return f"waves of about {360.0 / number:.2g}°", found.explained
 
 
@@ -291,8 +291,10 @@ def _steps_of_means(p: _Turned, values: Floats) -> Floats:
 
 
 def _direction(turn: Floats, run: Ints) -> Floats:
-    """Direction of an angle, +1 or -1, from the reading before; where that is the first of a run or at the same angle,
-    the direction to the next, for a table overruns before it turns back; (n,)."""
+    """Direction of an angle from the reading before, +1 or -1, (n,).
+
+    At the first reading of a run, and at one of the same angle, that to the next: a table overruns where it turns back.
+    """
     step = np.diff(turn, prepend=turn[:1])
     moved = np.flatnonzero((np.abs(step) > SAME_RAD) & (np.diff(run, prepend=run[:1]) == 0))
     if not len(moved):

@@ -27,6 +27,8 @@ AT_NOISE = 1.1
 VISIBLE = 0.35
 """The expansion leaves less than the refit by more than this multiple of the noise floor, in squares."""
 MOST_RIVALS = 2
+MOSTLY = 0.5
+"""Share of the change of a number without an effect by which it changes beside it, where it has changed of its own."""
 
 
 def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
@@ -48,11 +50,11 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
         pairs = zip(model.effects, effects, strict=True)
         effects = tuple(now if now.label in turned else was for was, now in pairs)
     if found.group:
-        # A number that holds beside what is named only made up for its absence.
-        still = changed_numbers(model, given.readings, _named(found, model))[0]
-        before, there = ({(c.effect, c.name) for c in some} for some in (changed, still))
-        changed = tuple(c for c in changed if (c.effect, c.name) in there)
-        beside = tuple(c for c in still if (c.effect, c.name) not in before)
+        # A number that holds beside what is named, or mostly holds, only made up for its absence.
+        still = {(c.effect, c.name): c for c in changed_numbers(model, given.readings, _named(found, model))[0]}
+        changed = tuple(c for c in changed if _goes_on(c, still.get((c.effect, c.name))))
+        before = {(c.effect, c.name) for c in changed}
+        beside = tuple(c for key, c in still.items() if key not in before)
     left = Judgement(replace(model, effects=effects), given, tuple(found.judged.scale) if found.judged else None)
     if beside and not doubted:
         found = words.with_changes_beside(found, beside)
@@ -61,6 +63,11 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     changed = with_expansions(changed, expansions_instead(model, given, changed, left.residual))
     kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
     return words.with_changes(found, changed, left.residual, left.with_own(kept))
+
+
+def _goes_on(alone: ChangedNumber, beside: ChangedNumber | None) -> bool:
+    """Whether a number has changed beside what is named, and by most of what it changes by without it."""
+    return beside is not None and abs(beside.now - beside.was) > MOSTLY * abs(alone.now - alone.was)
 
 
 def _of_reversal(effect: Effect, machine: Machine) -> bool:

@@ -112,9 +112,15 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
     )
 
 
+TILTS = {"mount_expansion", "column_tilt"}
+"""What turns one part by one temperature or by the difference of two."""
+
+
 def _from_catalogue(one: Effect, other: Effect) -> tuple[str, str]:
     """The catalogue's entries about two effects, in both directions."""
     kinds = all_effects()
+    if one.component == other.component and {one.effect, other.effect} == TILTS:
+        return "", _generic(one, other)
     for a, b in ((one, other), (other, one)):
         for confusion in kinds[a.effect].about.confusions if a.effect in kinds else ():
             if confusion.effect == b.effect:
@@ -129,16 +135,24 @@ def _generic(one: Effect, other: Effect) -> str:
         return ""  # another form of the same effect is no other cause
     only, others = sorted(mine - yours), sorted(yours - mine)
     if one.component != other.component:
+        if {one.component[1], other.component[1]} <= set("XYZ"):
+            change = f"; {_changes(only, others)}" if only or others else ""
+            return f"an indicator on each part, for at the tool tip only their sum shows{change}"
         return (
             f"measure where {one.component} and {other.component} act differently: another offset of the instrument, "
             "or one that reads one of them directly"
         )
-    if only and others:
-        stay = "stays as it is" if len(others) == 1 else "stay as they are"
-        return f"change {' or '.join(only)} while {' and '.join(others)} {stay}, and the other way round"
     if only or others:
-        return f"change {' or '.join(only or others)} with everything else as it is"
+        return _changes(only, others)
     return "measure again with other values of what drives them, in another order"
+
+
+def _changes(only: Sequence[str], others: Sequence[str]) -> str:
+    """What drives one effect alone and what drives the other is changed in turn."""
+    if not (only and others):
+        return f"change {' or '.join(only or others)} with everything else as it is"
+    stay = "stays as it is" if len(others) == 1 else "stay as they are"
+    return f"change {' or '.join(only)} while {' and '.join(others)} {stay}, and the other way round"
 
 
 def _drivers(effect: Effect) -> set[str]:
