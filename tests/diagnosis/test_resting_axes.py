@@ -3,6 +3,8 @@
 Oracle: the cross product of the angle and the vector from the link to the probe, in numpy.
 """
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,3 +119,13 @@ def test_an_axis_that_stands_elsewhere_in_each_file_is_a_candidate(tmp_path: Pat
     assert first.effect.effect == "guide_twist"
     assert first.effect.component == "EAX"
     assert abs(first.parameters["k"].value) == pytest.approx(45.0, rel=0.1)
+
+
+def test_a_chiller_that_switches_is_no_scatter(tmp_path: Path) -> None:
+    """Oracle: a square wave of ±3 µm with a period of 21 readings, at a model that was fitted to quiet ones."""
+    m = drift(tmp_path, "EAY", 5)
+    rng, on = np.random.default_rng(5), 3.0 * np.sign(np.sin(2.0 * np.pi * m.time_s / 3360.0 + 0.1))
+    quiet = {name: on + rng.normal(0.0, 0.3, len(m)) for name in m.readings}
+    d = diagnose(Model(m.machine, (), noise_um=0.3), [replace(m, readings=quiet)], draws=50)
+    assert d.verdict == "undecided"
+    assert re.search(r"swings by ±[34]\.?\d* µm with a period of 5\d min", d.sentence), d.sentence

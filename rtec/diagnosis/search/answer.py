@@ -364,7 +364,7 @@ class _Answer:
         if not nothing:
             return None
         if (noise := scatters(judged)) is not None:
-            return noise
+            return swings(judged) or noise  # what swings within minutes is no scatter
         if judged.refitted < REFIT * judged.residual:
             return runs_too_few(judged, self._likeliest(findings))
         slow = swings(judged) or drift_by_far(judged, self.s.refits.current)
