@@ -32,6 +32,7 @@ def _in_memory() -> tempfile.TemporaryDirectory[str] | None:
     if free < ROOM or os.statvfs(MEMORY).f_flag & os.ST_NOEXEC:
         return None
     made = tempfile.TemporaryDirectory(prefix="rtec-", dir=MEMORY)
+    Path(made.name).chmod(0o711)  # LinuxCNC's real-time part goes on as another user, and has its socket in there
     os.environ["TMPDIR"] = tempfile.tempdir = made.name
     return made
 
