@@ -5,7 +5,7 @@ direction, a worm has so many waves a turn, and a table that is indexed between 
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,9 +34,12 @@ LEAST_A_WAVE = 2.5
 """Steps of the angle in a wave, at least."""
 MOST_WAVES = 400
 SAME_RAD = 1e-5
+"""Angles within this are one."""
 NEXT = "Measure with each rotary axis at one angle, or leave these readings out."
 
 FEWEST_WAVES = 2
+MANY = 5000
+"""Of more readings, those whose noise alone is most of the residual are not searched."""
 
 View = Callable[["_Turned", Floats], Floats]
 """How the readings of a series are looked at: (n, k) to (l, k)."""
@@ -46,15 +49,19 @@ Columns = Callable[["_Turned"], list[Floats]]
 def turned_with(judged: Judgement) -> list[Doubt]:
     """A doubt where most of the residual depends on angles that nothing reads.
 
-    A residual that may be a slow drift is judged by its steps from reading to reading, and by the means of runs.
+    Where the angles are constant within each run, the means of runs are judged: readings of one run are one witness.
+    Else a residual that may be a slow drift is judged by its steps from reading to reading.
     """
     readings = judged.readings
     angles = [{n: v for n, v in m.unread.items() if is_rotary(n)} for m in readings.measurements]
     if not any(angles):
         return []
     parts = [_Turned(judged, s, angles[s.source]) for s in readings.series if angles[s.source]]
-    moves = judged.residual >= ABOVE_NOISE * math.hypot(judged.noise_floor, judged.drift)
-    found = _found(parts, [[_as_read]] if moves else [[_steps], [_means, _steps_of_means]])
+    if len(readings) > MANY and judged.noise_floor**2 > MOSTLY * judged.residual**2:
+        return []
+    drifts = judged.residual < ABOVE_NOISE * math.hypot(judged.noise_floor, judged.drift)
+    still = not any(p.turns_within_runs for p in parts)
+    found = _found(parts, (_means, _steps_of_means) if still else (_steps,) if drifts else (_as_read,))
     if found is None:
         return []
     how, explained = found
@@ -156,6 +163,12 @@ class _Turned:
         return [g * f(phase) for g in (1.0, place - place.mean()) for f in (np.cos, np.sin)]
 
     @cached_property
+    def turns_within_runs(self) -> bool:
+        """Whether an angle changes from one reading of a run to the next."""
+        within = np.diff(self.series.run) == 0
+        return any(bool((np.abs(np.diff(t))[within] > SAME_RAD).any()) for t in self.turns)
+
+    @cached_property
     def most_waves(self) -> int:
         """Waves a turn that the steps of the angles resolve."""
         steps = np.concatenate([np.abs(np.diff(t)) for t in self.turns])
@@ -210,17 +223,17 @@ def _fit(parts: Sequence[_Turned], view: View, columns: Columns) -> _Fit:
     return _Fit(left, free, numbers, explained)
 
 
-def _found(parts: Sequence[_Turned], ways: Iterable[Sequence[View]]) -> tuple[str, Floats] | None:
-    """What of the angles explains most of the residual, in words and in numbers; None where nothing does."""
-    for views in ways:
-        forms = FORMS if views[0] is not _means else FORMS[:1]
-        for how, form in forms:
-            fits = [(_fit(parts, v, lambda p: p.known), _fit(parts, v, form)) for v in views]
-            if all(its.beats(other) for other, its in fits):
-                return how, fits[0][1].explained
-        if views[0] is not _means and (found := _waves(parts, views[0])) is not None:
-            return found
-    return None
+def _found(parts: Sequence[_Turned], views: Sequence[View]) -> tuple[str, Floats] | None:
+    """What of the angles explains most of the residual in every view, in words and as numbers; None where nothing does.
+
+    From run to run there are too few angles for more than cosine and sine.
+    """
+    alone = len(views) == 1
+    for how, form in FORMS if alone else FORMS[:1]:
+        fits = [(_fit(parts, v, lambda p: p.known), _fit(parts, v, form)) for v in views]
+        if all(its.beats(other) for other, its in fits):
+            return how, fits[0][1].explained
+    return _waves(parts, views[0]) if alone else None
 
 
 FORMS: tuple[tuple[str, Columns], ...] = (
