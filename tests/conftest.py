@@ -1,9 +1,8 @@
-"""What all tests share: hypothesis without a clock and with a fixed seed; folders; who runs what."""
+"""What all tests share: hypothesis without a clock and with a fixed seed; a short folder for sockets; who runs what."""
 
 import gc
 import os
 import re
-import shutil
 import sys
 import tempfile
 from collections.abc import Generator, Iterator
@@ -17,28 +16,6 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 # A second thread for linear algebra waits for the first by spinning; beside other tests that is time they need.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-MEMORY, ROOM = Path("/dev/shm"), 8 * 2**30  # noqa: S108  a private folder is made in it
-
-
-def _in_memory() -> tempfile.TemporaryDirectory[str] | None:
-    """A folder in memory for temporary files, unless TMPDIR says where or memory has no room; None in a worker.
-
-    Tests write and remove tens of thousands of small files. That takes some disks longer than the tests themselves.
-    """
-    if "TMPDIR" in os.environ or not os.access(MEMORY, os.W_OK):
-        return None
-    free = min(shutil.disk_usage(MEMORY).free, os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    if free < ROOM or os.statvfs(MEMORY).f_flag & os.ST_NOEXEC:
-        return None
-    made = tempfile.TemporaryDirectory(prefix="rtec-", dir=MEMORY)
-    Path(made.name).chmod(0o711)  # LinuxCNC's real-time part goes on as another user, and has its socket in there
-    os.environ["TMPDIR"] = tempfile.tempdir = made.name
-    return made
-
-
-IN_MEMORY = _in_memory()
-"""Temporary files of all tests; removed when the last has run."""
 
 settings.register_profile("rtec", deadline=None, derandomize=True)
 settings.load_profile("rtec")
