@@ -165,7 +165,7 @@ def test_a_backlash_of_the_table_is_none_of_a_linear_axis(seed: int) -> None:
     m = on_a_ball(seed, (0.0, 0.0))
     turned = np.deg2rad(m.unread["b_deg"])
     lag = 0.08 * 40.0 * overrun()[:, None] * np.stack([-np.sin(turned), np.cos(turned)], axis=1)
-    assert "its direction lower it" in doubted(with_direction(m, lag, m.unread["b_deg"]))[0]
+    assert "cosine, sine and direction of the angle lower it" in doubted(with_direction(m, lag, m.unread["b_deg"]))[0]
 
 
 @pytest.mark.parametrize("seed", proof.few(range(5), 2))

@@ -7,7 +7,7 @@ direction, a worm has so many waves a turn, and a table that is indexed between 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +38,8 @@ SAME_RAD = 1e-5
 NEXT = "Measure with each rotary axis at one angle, or leave these readings out."
 
 FEWEST_WAVES = 2
-MANY = 5000
-"""Of more readings, those whose noise alone is most of the residual are not searched."""
+WORK = 10**6
+"""Readings times numbers of waves that are tried: a second of processor time. Of many readings only long waves are."""
 
 View = Callable[["_Turned", Floats], Floats]
 """How the readings of a series are looked at: (n, k) to (l, k)."""
@@ -57,8 +57,6 @@ def turned_with(judged: Judgement) -> list[Doubt]:
     if not any(angles):
         return []
     parts = [_Turned(judged, s, angles[s.source]) for s in readings.series if angles[s.source]]
-    if len(readings) > MANY and judged.noise_floor**2 > MOSTLY * judged.residual**2:
-        return []
     drifts = judged.residual < ABOVE_NOISE * math.hypot(judged.noise_floor, judged.drift)
     still = not any(p.turns_within_runs for p in parts)
     found = _found(parts, (_means, _steps_of_means) if still else (_steps,) if drifts else (_as_read,))
@@ -139,18 +137,23 @@ class _Turned:
         places = list(self.places.values())
         return [*self.circles, *places, *(p * w for p in places for w in self.circles)]
 
+    @property
+    def turned(self) -> list[Floats]:
+        """What is known, and what turns with the angles."""
+        return [*self.known, *self.turning]
+
     @cached_property
     def backlash(self) -> list[Floats]:
         """The direction of each angle, by itself and turning with it."""
         ways = [_direction(t, self.series.run) for t in self.turns]
-        return [w * f for w, t in zip(ways, self.turns, strict=True) for f in (1.0 + 0.0 * t, np.cos(t), np.sin(t))]
+        return [w * f for w, t in zip(ways, self.turns, strict=True) for f in (np.ones(len(t)), np.cos(t), np.sin(t))]
 
     def waves(self, number: int) -> list[Floats]:
         """So many waves a turn, by themselves and turning with the angle."""
         return [
             f * w
             for t in self.turns
-            for f in (1.0 + 0.0 * t, np.cos(t), np.sin(t))
+            for f in (np.ones(len(t)), np.cos(t), np.sin(t))
             for w in (np.cos(number * t), np.sin(number * t))
         ]
 
@@ -223,6 +226,12 @@ def _fit(parts: Sequence[_Turned], view: View, columns: Columns) -> _Fit:
     return _Fit(left, free, numbers, explained)
 
 
+FORMS: tuple[tuple[str, Columns], ...] = (
+    ("cosine and sine of the angle", lambda p: p.turned),
+    ("cosine, sine and direction of the angle", lambda p: [*p.turned, *p.backlash]),
+)
+
+
 def _found(parts: Sequence[_Turned], views: Sequence[View]) -> tuple[str, Floats] | None:
     """What of the angles explains most of the residual in every view, in words and as numbers; None where nothing does.
 
@@ -236,20 +245,14 @@ def _found(parts: Sequence[_Turned], views: Sequence[View]) -> tuple[str, Floats
     return _waves(parts, views[0]) if alone else None
 
 
-FORMS: tuple[tuple[str, Columns], ...] = (
-    ("cosine and sine of the angle", lambda p: [*p.known, *p.turning]),
-    ("cosine and sine of the angle and its direction", lambda p: [*p.known, *p.turning, *p.backlash]),
-)
-
-
 def _waves(parts: Sequence[_Turned], view: View) -> tuple[str, Floats] | None:
     """Waves of the length that explains most, if no waves along a position that follows the angle do as well."""
-    most = max(p.most_waves for p in parts)
+    most = min(max(p.most_waves for p in parts), WORK // sum(len(p.series) for p in parts))
     if most < FEWEST_WAVES:
         return None
 
     def best(waves: Callable[[_Turned, int], list[Floats]], numbers: range) -> tuple[int, _Fit]:
-        known = [p.seen(view, lambda p: [*p.known, *p.turning]) for p in parts]
+        known = [p.seen(view, lambda p: p.turned) for p in parts]
         rests = [(q, t - q @ (q.T @ t)) for t, made in known for q in (_orthogonal(made),)]
 
         def explains(number: int) -> float:
@@ -261,15 +264,19 @@ def _waves(parts: Sequence[_Turned], view: View) -> tuple[str, Floats] | None:
             return out
 
         number = max(numbers, key=explains)
-        return number, _fit(parts, view, lambda p: [*p.known, *p.turning, *waves(p, number)])
+        return number, _fit(parts, view, lambda p: [*p.turned, *waves(p, number)])
 
     number, found = best(_Turned.waves, range(FEWEST_WAVES, most + 1))
-    if not found.beats(_fit(parts, view, lambda p: [*p.known, *p.turning]), most):
+    if not found.beats(_fit(parts, view, lambda p: p.turned), most):
         return None
     for axis in sorted({i for p in parts for i in p.following}):
-        if found.mean > MOSTLY * best(lambda p, n, i=axis: p.waves_along(i, n), range(1, most + 1))[1].mean:  # type: ignore[misc]
+        if found.mean > MOSTLY * best(partial(_along, axis), range(1, most + 1))[1].mean:
             return None
     return f"waves of about {360.0 / number:.2g}°", found.explained
+
+
+def _along(axis: int, part: _Turned, number: int) -> list[Floats]:
+    return part.waves_along(axis, number)
 
 
 def _orthogonal(columns: Floats) -> Floats:

@@ -112,14 +112,14 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
     )
 
 
-TILTS = {"mount_expansion", "column_tilt"}
+TILTS = {"mount_expansion", "column_tilt", "spindle_tilt"}
 """What turns one part by one temperature or by the difference of two."""
 
 
 def _from_catalogue(one: Effect, other: Effect) -> tuple[str, str]:
     """The catalogue's entries about two effects, in both directions."""
     kinds = all_effects()
-    if one.component == other.component and {one.effect, other.effect} == TILTS:
+    if one.component == other.component and one.component[1] in "ABC" and {one.effect, other.effect} <= TILTS:
         return "", _generic(one, other)
     for a, b in ((one, other), (other, one)):
         for confusion in kinds[a.effect].about.confusions if a.effect in kinds else ():
@@ -135,7 +135,8 @@ def _generic(one: Effect, other: Effect) -> str:
         return ""  # another form of the same effect is no other cause
     only, others = sorted(mine - yours), sorted(yours - mine)
     if one.component != other.component:
-        if {one.component[1], other.component[1]} <= set("XYZ"):
+        whole = all(getattr(e, "axis", None) is None for e in (one, other))
+        if whole and one.component[1] == other.component[1] and one.component[1] in "XYZ":
             change = f"; {_changes(only, others)}" if only or others else ""
             return f"an indicator on each part, for at the tool tip only their sum shows{change}"
         return (
