@@ -43,8 +43,9 @@ def only_log(tmp_path: Path) -> Path:
 
 
 def rings_left() -> list[str]:
-    """Rings of rtec that nobody removed and whose owner is gone."""
-    return [p.name for p in Path("/dev/shm").glob("rtec-*") if not Path(f"/proc/{p.name.split('-')[1]}").exists()]  # noqa: S108
+    """Rings of rtec that nobody removed and whose owner is gone: "rtec-", the owner's number, "-" and a word."""
+    rings = [p.name for p in Path("/dev/shm").glob("rtec-*-*") if p.name.split("-")[1].isdigit()]  # noqa: S108
+    return [name for name in rings if not Path("/proc", name.split("-")[1]).exists()]
 
 
 @pytest.fixture(autouse=True)
