@@ -1,6 +1,8 @@
 """What a chip does with its lines: filter, index latch, relay. Oracle: the lines, made by hand, and arithmetic."""
 
 import struct
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -183,3 +185,28 @@ def status(chip: Chip) -> int:
     chip.send(frame(2, 3))
     chip.settle()
     return unstuff(chip.received()[1:-1])[6]
+
+
+FORKED = """
+import os, signal, sys
+from pathlib import Path
+from rtec_drivers.box.gateware import Chip
+
+chip = Chip(Path(sys.argv[1]))
+others = [t for t in Path("/proc/self/task").iterdir() if t.name != str(os.getpid())]
+while any((t / "stat").read_text().rpartition(")")[2].split()[0] != "S" for t in others):
+    pass  # until the chip's threads wait for work
+child = os.fork()
+if child == 0:
+    signal.alarm(30)
+    del chip
+    os._exit(0)
+ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+chip.run(100, [0] * chip.axes)
+sys.exit(ended)
+"""
+
+
+def test_a_forked_process_does_not_end_the_threads_of_a_chip_that_is_not_its_own() -> None:
+    """Oracle: the kernel; a process that waits for threads which it does not have is ended by its alarm."""
+    assert subprocess.run([sys.executable, "-c", FORKED, gateware.library()], check=False).returncode == 0

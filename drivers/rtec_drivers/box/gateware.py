@@ -8,6 +8,7 @@ all, so the two are interchangeable. The controller's counts are decoded from th
 
 import argparse
 import ctypes
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,6 +106,7 @@ class Chip:
         self.axes, self.clk_hz, self.baud = (int(n) for n in sizes[:3])
         self._coverage = str(coverage or "").encode()
         self._chip = self._lib.chip_new()
+        self._owner = os.getpid()
         self.settings()
         self.reset()
 
@@ -142,10 +144,10 @@ class Chip:
             )
 
     def close(self) -> None:
-        """End the simulation."""
-        if self._chip:
+        """End the simulation; a copy of it in a forked process is dropped, as its threads are not there to be ended."""
+        if self._chip and os.getpid() == self._owner:
             self._lib.chip_delete(self._chip, self._coverage)
-            self._chip = None
+        self._chip = None
 
     def __enter__(self) -> Self:
         """Return the chip itself."""
