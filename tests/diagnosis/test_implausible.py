@@ -243,6 +243,28 @@ def test_readings_that_follow_a_column_that_nothing_reads(seed: int) -> None:
     assert said.startswith("The residual follows pressure_bar (55 to 61), which rtec does not read: ")
 
 
+@pytest.mark.parametrize("seed", [73, 74])
+def test_a_slope_that_follows_a_column_that_nothing_reads(seed: int) -> None:
+    """A wavelength that follows the humidity: the error is the distance times a number of each run."""
+    m, rng = day(seed), np.random.default_rng(seed)
+    runs, at = np.unique(m.run, return_inverse=True)
+    percent = rng.uniform(30.0, 70.0, len(runs))[at] + rng.normal(0.0, 0.3, len(m))
+    x = m.channels["x"]
+    said = stops(fitted(), unread(m, 2e-3 * (percent - 50.0) * x, humidity=np.round(percent, 1)))
+    assert "The residual follows humidity (" in said
+    assert "which rtec does not read, times the position along X: that product lowers it from " in said
+
+
+@pytest.mark.parametrize("seed", proof.few(range(20), 2))
+def test_a_slope_of_its_own_is_followed_by_nothing(seed: int) -> None:
+    """An expansion of the screw, late or not, beside an air that is as slow: no slope of the humidity."""
+    m, rng = day(81), np.random.default_rng(seed)
+    hours = m.time_s / 3600.0
+    given = {"percent": 40.0 + 3.0 * np.sin(hours / 5.0 + seed) + walk(m, rng, 0.02), "walk": walk(m, rng, 0.1)}
+    for slope in (2.0 * np.sin(hours / 4.0 + 2.0), 4.0 * (1.0 - np.exp(-hours / 2.0)), walk(m, rng, 0.15)):
+        assert not asked(fitted(), unread(m, 1e-2 * slope * m.channels["x"], **given))
+
+
 def walk(m: Measurement, rng: np.random.Generator, step: float) -> Floats:
     return np.asarray(np.cumsum(rng.normal(0.0, step, len(m))))
 

@@ -39,44 +39,75 @@ def follows(judged: Judgement) -> list[Doubt]:
     names = set.intersection(*(set(m.unread) for m in readings.measurements))
     if not names or len(readings) < ENOUGH:
         return []
-    known, found = _known(readings), []
-    for name in sorted(n for n in names if not is_rotary(n)):
-        column = np.concatenate([readings.measurements[s.source].unread[name][s.row] for s in readings.series])
-        if np.isfinite(column).all() and np.ptp(column) > 0.0:
-            left = _beside(judged, floor.cleaned(readings, column / np.ptp(column)), known)
-            found += [] if left is None else [(left, name)]
-    if not found:
+    best = _best(judged, {n: c for n in sorted(names) if not is_rotary(n) and (c := _column(readings, n)) is not None})
+    if best is None:
         return []
-    after, name = min(found)
+    after, name, words = best
     there, here = sizes(judged.residual, after)
     every = joined({name: m.unread[name]} for m in readings.measurements)
+    line = "that product" if words else "a straight line in it"
     message = (
-        f"The residual follows {ranged(name, every[name])}, which rtec does not read: a straight line in it lowers it "
+        f"The residual follows {ranged(name, every[name])}, which rtec does not read{words}: {line} lowers it "
         f"from {there} to {here} {ERROR_UNITS[judged.unit]}."
     )
     return [Doubt("not_read", message, HOLD, fatal=True)]
 
 
-def _known(readings: Readings) -> Floats:
-    """Positions, directions, temperatures and the time, less what the instruments cannot know, (m, k)."""
+def _best(judged: Judgement, columns: dict[str, Floats]) -> tuple[float, str, str] | None:
+    """What the column that explains most leaves, its name, and words on the position that it is multiplied with."""
+    readings = judged.readings
+    read, best = _read(readings), None
+    ways = [(np.ones((len(read), 1)), "", floor.cleaned(readings, read))]
+    for axis, by in _positions(readings):
+        both = floor.cleaned(readings, np.hstack([read, read * by[:, 1:]]))
+        ways.append((by, f", times the position along {axis}", both))
+    for by, words, known in ways:
+        for name, column in columns.items():
+            left = _beside(judged, floor.cleaned(readings, column[:, None] * by), known)
+            if left is not None and (best is None or left**2 < (MOSTLY if words != best[2] else 1.0) * best[0] ** 2):
+                best = left, name, words
+    return best
+
+
+def _column(readings: Readings, name: str) -> Floats | None:
+    """A column that nothing reads, from its mean in parts of its range, (m,); None if it does not vary."""
+    column = np.concatenate([readings.measurements[s.source].unread[name][s.row] for s in readings.series])
+    varies = np.isfinite(column).all() and np.ptp(column) > 0.0
+    return (column - column.mean()) / np.ptp(column) if varies else None
+
+
+def _read(readings: Readings) -> Floats:
+    """Positions, directions, temperatures and the time, each from its mean in parts of its range, (m, k)."""
     machine = readings.machine
     names = [c for a in machine.axes for c in (a.channel, a.direction_channel)]
     values = [readings.channel(n) for n in (*names, *machine.sensor_names, "time_s")]
-    values = [v / np.ptp(v) for v in values if np.isfinite(v).all() and np.ptp(v) > 0.0]
-    return floor.cleaned(readings, np.stack(values, axis=1))
+    values = [(v - v.mean()) / np.ptp(v) for v in values if np.isfinite(v).all() and np.ptp(v) > 0.0]
+    return np.stack(values, axis=1)
 
 
-def _beside(judged: Judgement, column: Floats, known: Floats) -> float | None:
-    """What a column that the residual follows leaves of it; None where it does not follow it.
+def _positions(readings: Readings) -> list[tuple[str, Floats]]:
+    """Names of the axes that move, and one beside their positions from the mean in parts of their range, (m, 2)."""
+    values = [(a.name, readings.channel(a.channel)) for a in readings.machine.axes]
+    return [
+        (name, np.stack([np.ones(len(v)), (v - v.mean()) / np.ptp(v)], axis=1))
+        for name, v in values
+        if np.isfinite(v).all() and np.ptp(v) > 0.0
+    ]
+
+
+def _beside(judged: Judgement, columns: Floats, known: Floats) -> float | None:
+    """What columns that the residual follows leave of it; None where it does not follow them.
 
     Args:
         judged: the model.
-        column: less what the instruments cannot know, (m,).
-        known: the channels that are read, (m, k).
+        columns: less what the instruments cannot know, (m, q).
+        known: what is read, less what the instruments cannot know, (m, k).
     """
-    whole = np.stack([judged.left, floor.cleaned(judged.readings, judged.readings.values), column], axis=1)
+    whole = np.column_stack([judged.left, floor.cleaned(judged.readings, judged.readings.values), columns])
     own = whole - known @ solve(known, whole)
-    left, read, beside = own.T
+    left, read = own[:, 0], own[:, 1]
+    mixed = solve(own[:, 2:], left[:, None])
+    column, beside = (columns @ mixed)[:, 0], (own[:, 2:] @ mixed)[:, 0]
     if beside @ beside < OWN * (column @ column) or left @ left < OWN * (judged.left @ judged.left):
         return None
     if abs(_correlation(read, beside)) > COPY or abs(_correlation(_ranks(left), _ranks(beside))) < LIKE_RANKS:
