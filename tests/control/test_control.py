@@ -32,15 +32,12 @@ from tests.support import setups
 from tests.support.conformance import soon
 from tests.support.control_rig import FakeDaemon, Line
 
+pytestmark = pytest.mark.usefixtures("runtime_folder")
+
 
 @pytest.fixture(scope="module")
 def setup(tmp_path_factory: pytest.TempPathFactory) -> Setup:
     return setups.setup(tmp_path_factory.mktemp("run"))
-
-
-@pytest.fixture(autouse=True)
-def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
 
 @pytest.fixture

@@ -25,6 +25,8 @@ from tests.support import setups
 from tests.support.conformance import soon
 from tests.support.control_rig import FakeDaemon, Line, free_place
 
+pytestmark = pytest.mark.usefixtures("runtime_folder")
+
 RTEC = f"{sys.executable} -m rtec.cli.main"
 SSHD = shutil.which("sshd", path=f"{os.environ['PATH']}:/usr/sbin")
 
@@ -35,8 +37,7 @@ def setup(tmp_path_factory: pytest.TempPathFactory) -> Setup:
 
 
 @pytest.fixture
-def daemon(setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeDaemon]:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+def daemon(setup: Setup) -> Iterator[FakeDaemon]:
     daemon = FakeDaemon(setup)
     with Control(setup, daemon, RealClock()):
         yield daemon
@@ -107,13 +108,13 @@ def test_run_files_from_before_say_what_to_do(key: str) -> None:
 
 
 @pytest.mark.skipif(SSHD is None, reason="needs sshd (Debian: openssh-server)")
-def test_through_a_real_sshd(setup: Setup, daemon: FakeDaemon, tmp_path: Path) -> None:
+def test_through_a_real_sshd(setup: Setup, daemon: FakeDaemon, runtime_folder: Path, tmp_path: Path) -> None:
     """Keys bound to a command, as docs/control.md has them: whatever a client asks for, it gets its own role only."""
     assert SSHD is not None
     port = free_place().split(":")[1]
     for name in ("host", "office", "cell", "stranger"):
         subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(tmp_path / name)], check=True)
-    inside = f"env RUNTIME_DIRECTORY={tmp_path} {RTEC} ctl relay {setup.path}"
+    inside = f"env RUNTIME_DIRECTORY={runtime_folder} {RTEC} ctl relay {setup.path}"
     (tmp_path / "authorized_keys").write_text(
         "".join(
             f'restrict,command="{inside} --role {role} --name {name}" {(tmp_path / f"{name}.pub").read_text()}'

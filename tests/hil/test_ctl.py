@@ -29,7 +29,7 @@ from tests.support.command import here
 from tests.support.control_rig import Line
 from tests.support.modbus_peer import until
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.usefixtures("runtime_folder")]
 PERIOD_NS = 20_000_000
 START_NS = 120_000_000_000
 SLEW_UM_S = 50.0
@@ -75,8 +75,7 @@ class Running:
 
 
 @pytest.fixture
-def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+def daemon(tmp_path: Path) -> Iterator[Running]:
     content = setups.tables(tmp_path)
     content["control"] = {"status_hz": 50}
     running = Running(setups.write(tmp_path, content), tmp_path / "log.arrows")
@@ -193,9 +192,8 @@ def status(running: Running) -> dict[str, Any]:
         return client.status()
 
 
-def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_daemon_and_a_killed_one(tmp_path: Path) -> None:
     """The message says how to go on; what a killed daemon left behind is no daemon, and is in nobody's way."""
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     config = setups.write(tmp_path, setups.tables(tmp_path))
     for arguments in (("status", config), ("ctl", "hold", config)):
         found = here(*arguments)
@@ -230,10 +228,9 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_sensor_that_holds_the_correction_is_named_and_the_exit_status_is_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     """Oracle: docs/runbook.md, SENSOR_FAULT. The machine file says that T_bed never reads more than 5 °C."""
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     content = setups.tables(tmp_path)
     machine = tomllib.loads(Path(content["run"]["machine"]).read_text(encoding="utf-8"))
     machine["temperature"]["T_bed"]["range_degc"] = [0.0, 5.0]

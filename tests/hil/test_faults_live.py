@@ -22,7 +22,7 @@ from rtec.loop.state_files import DiskState, read_disk
 from rtec.playback.replay import replay_log
 from tests.support import setups
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.usefixtures("runtime_folder")]
 Script = Iterator[bool]
 LONGEST_NS = 90_000_000_000
 
@@ -52,8 +52,7 @@ class Play:
 
 
 @pytest.fixture
-def setup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Setup:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+def setup(tmp_path: Path) -> Setup:
     return setups.setup(tmp_path)
 
 
@@ -140,7 +139,9 @@ def test_a_state_that_another_daemon_keeps_is_not_written(setup: Setup, tmp_path
     other.close()
 
 
-def test_a_deleted_state_is_told_and_the_copy_on_disk_goes_on(setup: Setup, tmp_path: Path) -> None:
+def test_a_deleted_state_is_told_and_the_copy_on_disk_goes_on(
+    setup: Setup, tmp_path: Path, runtime_folder: Path
+) -> None:
     """Nor does a second daemon begin, though the lock in memory is gone with the file. Oracle: rows in the copy."""
     play, seen = Play(setup, None), dict[str, int]()
 
@@ -151,7 +152,7 @@ def test_a_deleted_state_is_told_and_the_copy_on_disk_goes_on(setup: Setup, tmp_
     def script() -> Script:
         while row() < 0:
             yield True
-        next(tmp_path.glob("rtec.*.state")).unlink()
+        next(runtime_folder.glob("rtec.*.state")).unlink()
         seen["row"] = row()
         while row() < seen["row"] + 500 or not play.told("note"):
             yield True

@@ -17,17 +17,12 @@ from rtec.log.tidy import tidy
 from tests.support import setups
 from tests.support.command import here
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.usefixtures("runtime_folder")]
 
 
 def rtec(*arguments: object) -> "subprocess.CompletedProcess[str]":
     command = [sys.executable, "-m", "rtec.cli.main", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-
-
-@pytest.fixture(autouse=True)
-def _state_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
 
 def logged(folder: Path) -> Iterator[int]:

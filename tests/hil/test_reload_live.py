@@ -22,7 +22,7 @@ from rtec.model import Model, save_model
 from rtec.playback.replay import replay_log
 from tests.support import setups
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.usefixtures("runtime_folder")]
 SLEW_UM_S = 50.0
 
 
@@ -56,8 +56,7 @@ def run(setup: Setup, log: Path | None, script: Script, seconds: float = 60.0) -
 
 
 @pytest.fixture
-def setup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Setup:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+def setup(tmp_path: Path) -> Setup:
     return setups.setup(tmp_path)
 
 

@@ -18,7 +18,7 @@ from rtec.log.reader import LogReader
 from tests.support import faulty, setups
 from tests.support.command import here
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.usefixtures("runtime_folder")]
 
 
 def rtec(*arguments: object, env: dict[str, str] | None = None) -> "subprocess.CompletedProcess[str]":
@@ -49,9 +49,8 @@ def rings_left() -> list[str]:
 
 
 @pytest.fixture(autouse=True)
-def _no_rings_of_earlier_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A test that failed may have left one; the next is to be judged by its own. Kept states go with the test."""
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+def _no_rings_of_earlier_faults() -> None:
+    """A test that failed may have left one; the next is to be judged by its own."""
     for name in rings_left():
         (Path("/dev/shm") / name).unlink()  # noqa: S108
 

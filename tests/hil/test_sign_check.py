@@ -21,16 +21,11 @@ from rtec.log.reader import LogReader
 from rtec.loop.run_file import load_setup
 from tests.support import faulty, setups
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.usefixtures("runtime_folder")]
 LONGEST_S = 60.0
 LATE_UM = 0.1
 """A cycle that comes late brakes late, within its acceleration: a fifth of a count."""
 STANDS = "G4 X3600"
-
-
-@pytest.fixture(autouse=True)
-def _state_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
 
 def rtec(*arguments: object, env: dict[str, str] | None = None) -> "subprocess.CompletedProcess[str]":

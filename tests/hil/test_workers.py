@@ -26,7 +26,7 @@ from rtec.loop.state_files import MemoryState, state_places
 from tests.support import setups
 from tests.support.modbus_peer import FakeLine, FakeSlave, line, serial
 
-pytestmark = pytest.mark.xdist_group("real-clock")
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.usefixtures("runtime_folder")]
 LONGEST_NS = 90_000_000_000
 Script = Iterator[bool]
 
@@ -99,11 +99,6 @@ class Play:
         """Wait for a status that is so."""
         while not condition():
             yield True
-
-
-@pytest.fixture(autouse=True)
-def _kept_states_go_with_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
 
 @pytest.fixture
@@ -203,7 +198,7 @@ def test_a_line_that_comes_later_is_told_in_the_drivers_words(tmp_path: Path) ->
     assert "no-such-line" in report.summary["devices"]["sensors"]["last"]["temperatures"]
 
 
-def test_the_rows_before_the_loop_died_are_in_the_log(tmp_path: Path) -> None:
+def test_the_rows_before_the_loop_died_are_in_the_log(tmp_path: Path, runtime_folder: Path) -> None:
     """To the last one. Oracle: the state that the loop keeps with every cycle, which knows the number of its row."""
     made = load_setup(setups.write(tmp_path, setups.tables(tmp_path)))
     told: list[str] = []
@@ -219,12 +214,12 @@ def test_the_rows_before_the_loop_died_are_in_the_log(tmp_path: Path) -> None:
         yield True
 
     def kept_row() -> int:
-        kept = MemoryState(next(tmp_path.glob("rtec.*.state"))).newest()
+        kept = MemoryState(next(runtime_folder.glob("rtec.*.state"))).newest()
         return 0 if kept is None else kept.row
 
     with pytest.raises(RtecError, match=r"was killed \(signal 9, Killed\) without a word"):
         play.run(script())
-    (memory,) = tmp_path.glob("rtec.*.state")
+    (memory,) = runtime_folder.glob("rtec.*.state")
     kept = MemoryState(memory).newest()
     assert kept is not None
     with LogReader(play.log) as log:
