@@ -1,7 +1,9 @@
 """Several effects that are missing together on a ball bar; oracle: the mechanism of [BB], written down by hand."""
 
 import functools
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,3 +115,20 @@ def test_a_scale_and_an_expansion_are_no_surface_without_a_name(seed: int) -> No
     d = diagnose(Model(small_machine(), effects(known), name="known"), [m], draws=50)
     assert d.unknown is None
     assert {x.label for x in d.together} == {"scale(EXX, X)", "axis_expansion(EXX, X, T_bed)"}
+
+
+@pytest.mark.parametrize("noise_um", [0.3, 0.4])
+@pytest.mark.parametrize("seed", proof.few([1, 2, 3, 4, 5], 1))
+def test_a_wave_that_drowns_in_a_growth_is_named_beside_it(seed: int, noise_um: float) -> None:
+    """A wave is beyond doubt, and a hundredth of the error; the growth, a drift otherwise, is nearly all of it."""
+    m, rng = laser(["scale,component=EXX,axis=X,k=10"], seed), np.random.default_rng(seed)
+    part = m.time_s / m.time_s[-1]
+    warm = 1.5 * (np.sin(3.0 * part + 0.3 * seed) + 0.3 * np.sin(11.0 * part + seed))
+    slow = np.zeros(len(m))
+    for i, w in enumerate(rng.normal(0.0, noise_um * math.sqrt(1.0 - 0.9**2), len(m))):
+        slow[i] = 0.9 * slow[i - 1] + w
+    um = 2.0 * warm + 0.7 * np.sin(2.0 * np.pi * m.channels["x"] / 5.0 + 1.0) + slow
+    channels = {**m.channels, "T_bed": np.round(16.0 * (20.0 + warm)) / 16.0}
+    m = replace(m, readings={k: v + um for k, v in m.readings.items()}, channels=channels)
+    found = diagnose(Model(small_machine(), effects("scale,component=EXX,axis=X,k=10"), name="m"), [m])
+    assert [t.label for t in found.together] == ["mount_expansion(EXX, T_bed)", "cyclic_screw(EXX, X)"]

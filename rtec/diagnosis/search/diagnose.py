@@ -910,11 +910,13 @@ class Search:
         first = max(sure, key=lambda t: t.log_evidence, default=None)
         chain = self.refits.chain([first], bar, linear) if first is not None else []
         if len(chain) < 2 or chain[-1].drop < best.drop or chain[-1].log_evidence <= best.log_evidence:
+            chain = []
+        if not chain and best.drop > LITTLE:
             return []
         # What the best needs beside it may replace it, and may have more numbers.
         whole = self.refits.chain([best], bar, self._separate)
         known = self.doubts
-        chain = self._without_instrument(max(chain, whole, key=lambda c: c[-1].log_evidence))
+        chain = self._without_instrument(max(chain or whole, whole, key=lambda c: c[-1].log_evidence))
         worse = not chain or chain[-1].drop < best.drop or chain[-1].log_evidence <= best.log_evidence
         there = best.number in [t.number for t in chain]
         if worse or (there and (best.drop > MAIN or not far_better(chain[-1], best))):
