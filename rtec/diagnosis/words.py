@@ -305,10 +305,12 @@ def _missing(d: Diagnosis, unit: str) -> str:
             f"{one} and {other} are missing together, neither lowers the error on held-out runs alone: adding "
             f"both removes {percent(f.heldout_drop)} of the held-out mean square error{other_parts(f)}"
         )
+    removes = f"removes {percent(f.heldout_drop)} of the held-out mean square error"
+    if f.heldout_drop <= 0.0:  # held-out runs are predicted better about the mean of each
+        removes = "does not lower the error on held-out runs, most of which is between runs"
     return (
         f"{with_period(f.label, f.theta)} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
-        f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
-        f"{_same_jump(f)}{_form_and_more(d)}{other_parts(f)}"
+        f"and adding it {removes}{_same_jump(f)}{_form_and_more(d)}{other_parts(f)}"
     )
 
 

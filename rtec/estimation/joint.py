@@ -21,7 +21,7 @@ from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.columns import slope
 from rtec.estimation.determined import phases_of, undetermined
-from rtec.estimation.gls import HeldOut, held_out, inverse, solve
+from rtec.estimation.gls import HeldOut, along_runs, held_out, inverse, solve
 from rtec.estimation.noise import Whitener, find_noise, refine
 from rtec.estimation.plain import Plain, as_good, better_within_runs, covariance, plain_fit, telling, weights, widening
 from rtec.estimation.readings import Readings
@@ -268,11 +268,34 @@ def _refereed(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[f
     judged = [held_out(f.weights, f.columns) for f in (weighed, plain)]
     ordinary, by_weight = _joint(work, plain), _joint(work, weighed)
     words = _disputed(by_weight, ordinary, judged)
-    return replace(by_weight if _by_weight(judged) else ordinary, disputed=words, plain=ordinary)
+    taken = ordinary
+    if as_good(*judged):
+        taken = by_weight
+    elif better_within_runs(*judged):
+        mixed = _mixed(work, weighed, plain)
+        taken = by_weight if mixed is None else _joint(work, mixed)
+    return replace(taken, disputed=words, plain=ordinary)
+
+
+def _mixed(work: _Work, weighed: _Numbers, plain: _Numbers) -> _Numbers | None:
+    """Weighted numbers of effects that change along the runs, ordinary ones of all others; None where there are none.
+
+    What is better within the runs says nothing about an effect that only differs from run to run.
+    """
+    parts = [_columns(e, theta, work.readings) for e, theta in zip(work.effects, plain.thetas, strict=True)]
+    along = [along_runs(work.readings, part) for part in parts]
+    from_runs = [bool(np.any(part)) and not a for part, a in zip(parts, along, strict=True)]
+    if not any(from_runs):
+        return None
+    thetas = [one if a else other for a, one, other in zip(along, weighed.thetas, plain.thetas, strict=True)]
+    values = plain.values.copy()
+    mine = np.repeat(along, [part.shape[1] for part in parts])
+    values[: len(mine)][mine] = weighed.values[: len(mine)][mine]
+    return replace(plain, thetas=thetas, columns=work.columns(thetas), values=values)
 
 
 def _by_weight(judged: Sequence[HeldOut]) -> bool:
-    """Whether the numbers of the weighted fit are taken, by both fits on held-out runs."""
+    """Whether the numbers of effects along the runs are taken from the weighted fit, by both fits on held-out runs."""
     return as_good(*judged) or better_within_runs(*judged)
 
 
