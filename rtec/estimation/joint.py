@@ -390,7 +390,7 @@ def _free(effects: Sequence[FittedEffect], readings: Readings) -> list[tuple[int
         for i, f in enumerate(effects)
         if np.abs(readings.arms(f.effect.component)).max() > 0.0
         for p in within_record(f.effect, readings.measurements)
-        if np.isfinite([p.low, p.high]).all()
+        if np.isfinite([p.low, p.high]).all() and p.low < p.high
     ]
 
 

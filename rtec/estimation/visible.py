@@ -20,6 +20,8 @@ MOVES, FINELY_MM = 0.01, 0.02
 covers more than this distance: fine steps over a few periods of a scale or turns of a screw."""
 SAME_MM, PLACES_ACROSS = 0.02, 200
 """Positions within this distance are one place; within less where so many would not fit into the way."""
+SAME_RPM = 30.0
+"""Speeds of the spindle within this are one."""
 NO_ARM = 1e-12
 ONE = 1e-6
 """A lever arm of one, to rounding."""
@@ -40,9 +42,10 @@ def longest_s(measurements: Sequence[Measurement]) -> float:
 
 
 def within_record(effect: Effect, measurements: Sequence[Measurement], share: float = 1.0) -> list[Parameter]:
-    """Non-linear parameters of an effect, in order; delays are limited to what measurements show, bounds and grid.
+    """Non-linear parameters of an effect, in order; bounds and grid are limited to what measurements show.
 
-    A longer lag than the record hardly changes in it, and its coefficient may have any size.
+    A longer lag than the record hardly changes in it, and its coefficient may have any size. The exponent of a speed
+    stays at its start where a spindle turned at one speed only.
 
     Args:
         effect: the effect.
@@ -54,8 +57,17 @@ def within_record(effect: Effect, measurements: Sequence[Measurement], share: fl
         if p.unit == "s" and p.low > 0.0:  # a delay; an instant may be any
             high = min(p.high, max(longest, 2.0 * p.low))
             p = replace(p, high=high, grid=tuple(v for v in p.grid if v <= high) or p.grid[:1])  # noqa: PLW2901
+        if p.name == "p" and "spindle_rpm" in effect.channels(measurements[0].machine) and not _speeds(measurements):
+            p = replace(p, low=p.start, high=p.start, grid=(p.start,))  # noqa: PLW2901
         out.append(p)
     return out
+
+
+def _speeds(measurements: Sequence[Measurement]) -> bool:
+    """Whether the spindle turned at several speeds."""
+    turning = [np.abs(m.channels["spindle_rpm"]) for m in measurements if "spindle_rpm" in m.channels]
+    speeds = np.concatenate([np.zeros(0), *(v[v > SAME_RPM] for v in turning)])
+    return bool(np.ptp(speeds) > SAME_RPM) if speeds.size else False
 
 
 @dataclass(frozen=True)

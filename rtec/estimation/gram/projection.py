@@ -100,7 +100,7 @@ def polish(
     """
     measurements = [s.measurement for s in sources]
     fitted = range(len(terms)) if only is None else sorted(only)
-    free = [(i, p) for i in fitted for p in within_record(terms[i].effect, measurements, LONGEST_LAG)]
+    free = [(i, p) for i in fitted for p in within_record(terms[i].effect, measurements, LONGEST_LAG) if p.low < p.high]
     if not free:
         return Polished(tuple(terms), (), gather(sources, terms, progress), ())
     place = np.clip([_place(p, terms[i].theta[p.name]) for i, p in free], 0.0, 1.0)
