@@ -1,11 +1,13 @@
 """Refits, ranges of own expressions, refusals and histories; oracles: what a simulation made true, and plain sums."""
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rtec.bench.sets import measurements_of
 from rtec.bench.sets import model_of as model_of_trial
@@ -25,11 +27,12 @@ from rtec.estimation.joint import joint_fit
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
-from rtec.model import Model, save_model
+from rtec.model import FittedEffect, Model, save_model
 from rtec.model.history import rescaled, steps_of
 from rtec.report.history import improved_page
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
 
+Floats = NDArray[np.float64]
 SCALE = "scale,component=EXX,axis=X,k=12"
 OLD, NEW = "backlash,component=EXX,axis=X,B=5", "backlash,component=EXX,axis=X,B=9"
 HEAT = (("T_bed", 11), ("T_air", 0.5))
@@ -296,6 +299,26 @@ def test_an_unknown_zero_costs_the_model_before_as_much_as_the_model_after() -> 
     empty = Judgement(model, clean(measured, model.reference_degc))
     assert added.before.held_out == pytest.approx(empty.held_out, rel=1e-9)
     assert added.after.held_out < 0.9 * added.before.held_out
+
+
+def test_one_speed_determines_no_exponent() -> None:
+    """Of one speed k and p are one number: a fit had p = 2.98 with a standard error of 0.005, and 14 µm at half of it."""
+    trial = build("improve", "any_spindle_heat", 32001)
+    model, measured = model_of_trial(trial), measurements_of(trial)
+    kind = effect_class("spindle_growth", "test")
+    growth = kind.model_validate({"effect": "spindle_growth", "component": "EZ0spindle"})
+
+    def fitted(speeds: Callable[[Floats], Floats]) -> FittedEffect:
+        given = [
+            dataclasses.replace(m, channels={**m.channels, "spindle_rpm": speeds(m.channels["spindle_rpm"])})
+            for m in measured
+        ]
+        return add(model, [new_effect(growth, model, {"tau": 300.0})], given).model.effects[-1]
+
+    several, one = fitted(lambda rpm: rpm), fitted(lambda rpm: np.where(rpm > 0.0, 7000.0, 0.0))
+    assert several.errors["p"] > 0.0
+    assert several.theta["p"] != 1.0
+    assert (one.theta["p"], one.errors.get("p")) == (1.0, None)
 
 
 def test_the_same_readings_under_another_name_are_no_second_measurement() -> None:
