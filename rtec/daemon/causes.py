@@ -6,9 +6,10 @@ nothing.
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from rtec.correction.flags import Flag
+from rtec.loop.devices import names_sensor
 from rtec.loop.records import NEVER_NS
 from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.text import joined
@@ -99,13 +100,5 @@ def _sensors(setup: "Setup") -> list[str]:
 def _sensor(setup: "Setup", name: str) -> str:
     """A sensor with its device: the only one, or the only one whose options name the sensor."""
     devices = setup.file.role.temperatures
-    owners = devices if len(devices) == 1 else [d for d in devices if _names(setup.file.device.get(d, {}), name)]
+    owners = devices if len(devices) == 1 else [d for d in devices if names_sensor(setup.file.device.get(d, {}), name)]
     return f"sensor {name} of device {owners[0]}" if len(owners) == 1 else f"sensor {name}"
-
-
-def _names(options: Any, name: str) -> bool:
-    if isinstance(options, Mapping):
-        return name in options or any(_names(value, name) for value in options.values())
-    if isinstance(options, list | tuple):
-        return any(_names(value, name) for value in options)
-    return bool(options == name)

@@ -35,7 +35,7 @@ from rtec.errors import DriverError, RtecError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
-from rtec.loop.ports import IntArray, OneWay
+from rtec.loop.ports import IntArray, OneWay, Resumable
 from rtec.loop.records import MODES_BY_NAME, Commands, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import Saved, StateWriter, is_damaged, newest, state_text, structure_of, units_of
@@ -275,6 +275,7 @@ def _at_start(
         start_mode=MODES_BY_NAME[setup.file.run.mode],
         damaged=_damaged(damaged),
         one_way=isinstance(ports.actuator, OneWay),
+        inserts=isinstance(ports.actuator, Resumable) and setup.inserts,
     )
 
 

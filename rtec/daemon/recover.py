@@ -1,12 +1,13 @@
 """What a start takes over: the output from the actuator, everything else from the kept state.
 
 Ledger: the actuator's own report counts. An actuator that cannot report has its last command, which the kept state has.
-After a run that did not end in order, mode and step's memory come from the kept state, too: an ordered hold stays,
-and directions of the axes and lags of temperatures go on. Whatever may have changed meanwhile is forgotten: the
-direction of an axis that moved, and every instant after a restart of the computer.
+The step's memory comes from the kept state, too: directions of the axes and lags of temperatures go on. Whatever may
+have changed meanwhile is forgotten: the direction of an axis that moved, and every instant after a restart of the
+computer. An ordered hold or fade stays, however the run ended; after one that did not end in order, any ordered mode.
 
 An actuator that lost its ledger meanwhile has restarted: its counts may have another meaning now. The loop then waits
-for the order to resume.
+for the order to resume; after a run that ended in order only where it inserts counts. An offset register may begin the
+day at zero: no count depends on what it was.
 """
 
 from dataclasses import dataclass, field
@@ -36,6 +37,7 @@ class AtStart:
         start_mode: the run file's mode.
         damaged: a state was kept that cannot be read any more: where it is and what that means; "" where it can.
         one_way: the actuator cannot report its output, so only the kept state has its last command.
+        inserts: the actuator inserts counts, and takes the order to resume: with its ledger it loses what they mean.
     """
 
     saved: Saved | None
@@ -46,6 +48,7 @@ class AtStart:
     start_mode: int
     damaged: str = ""
     one_way: bool = False
+    inserts: bool = False
 
 
 @dataclass(frozen=True)
@@ -54,11 +57,10 @@ class Start:
 
     Attributes:
         output: the ledger at the beginning.
-        expected: output that the actuator should have, where it has not reported yet and the run before did not end in
-            order.
+        expected: output that the actuator should have, where it has not reported yet; None: any.
         mode: the mode at the beginning.
         waits: why the order to resume is needed first; "" where it is not.
-        notes: what was taken over, in words; empty after a run that ended in order.
+        notes: what was taken over, in words.
         sequence: the kept state's, from which numbering goes on.
     """
 
@@ -84,14 +86,27 @@ def recover(step: Step, at_start: AtStart) -> Start:
         step.resume(output)
     else:
         step.rest()
+    trusts = saved.clean and not at_start.inserts
+    waits = "" if trusts else _why_wait(step, at_start, saved, output)
+    expected = saved.output if at_start.output is None and not waits and not trusts else None
+    mode = _mode(saved, at_start.start_mode)
     if saved.clean:
-        return Start(output, at_start.start_mode, sequence=saved.sequence)
-    mode = saved.mode if saved.mode in (MODE_OFF, MODE_ON, MODE_HOLD) else at_start.start_mode
-    if saved.start_mode != at_start.start_mode:  # the run file was changed meanwhile
-        mode = at_start.start_mode
-    waits = _why_wait(step, at_start, saved, output)
-    expected = saved.output if at_start.output is None and not waits else None
-    return Start(output, mode, waits, [_note(step, saved, output, mode)], saved.sequence, expected)
+        stays = saved.structure == structure_of(step) and mode != at_start.start_mode  # not that of a sign check
+        mode, notes = (mode, [ORDER_STAYS.format(NAMES[mode])]) if stays else (at_start.start_mode, [])
+    else:
+        notes = [_note(step, saved, output, mode)]
+    return Start(output, mode, waits, notes, saved.sequence, expected)
+
+
+NAMES = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold"}
+ORDER_STAYS = "mode {!r} was ordered before the run ended, and stays; `rtec ctl enable` ends it"
+
+
+def _mode(saved: Saved, start_mode: int) -> int:
+    """The ordered mode; that of the run file where it was changed meanwhile, or "on" was ordered and the run ended."""
+    if saved.start_mode != start_mode or saved.mode not in NAMES:
+        return start_mode
+    return start_mode if saved.clean and saved.mode == MODE_ON else saved.mode
 
 
 def _without_run_before(step: Step, at_start: AtStart) -> Start:
@@ -132,9 +147,8 @@ def allowed(step: Step, slack_s: float) -> IntArray:
 
 
 def _note(step: Step, saved: Saved, output: IntArray, mode: int) -> str:
-    names = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold"}
     how = "waited for an order to resume" if saved.waits else "did not end in order"
     return (
-        f"the run before {how}: its ledger ({in_words(step, output)}) and mode {names[mode]!r} were taken over (its "
+        f"the run before {how}: its ledger ({in_words(step, output)}) and mode {NAMES[mode]!r} were taken over (its "
         f"last command was {in_words(step, saved.output)})"
     )

@@ -117,6 +117,8 @@ class RowWatch:
     Args:
         layout: axes and sensors.
         without: flags that are no news: a run without an actuator is always off.
+        period_ns: longest time between two values of an output. Only a row with a new value says that the actuator can
+            give no more; it stays so until the next.
 
     Attributes:
         status: of the newest row.
@@ -125,9 +127,9 @@ class RowWatch:
         newest: the newest row; None before the first.
     """
 
-    def __init__(self, layout: Layout, without: Flag = Flag(0)) -> None:  # noqa: B008 (a number)
+    def __init__(self, layout: Layout, without: Flag = Flag(0), period_ns: int = 0) -> None:  # noqa: B008 (a number)
         self.layout, self.status, self.rows = layout, Status(), 0
-        self._looked_at = ~int(without)
+        self._looked_at, self._period_ns, self._saturated_ns = ~int(without), period_ns, 0
         self.newest: Samples | None = None
         self._first_ns: int | None = None
         self._flag_counts = np.zeros(len(Flag), dtype=np.int64)
@@ -145,7 +147,12 @@ class RowWatch:
         self._passed |= Flag(int(np.bitwise_or.reduce(flags)))
         self._largest = np.maximum(self._largest, np.abs(commands.applied_um).max(axis=0))
         axes, sensors = self.layout.axes, self.layout.sensors
-        now_ns = int(samples.time_ns[-1])
+        now_ns, now = int(samples.time_ns[-1]), Flag(int(flags[-1]))
+        saturated = np.flatnonzero(flags & int(Flag.OUTPUT_SATURATED))
+        if len(saturated):
+            self._saturated_ns = int(samples.time_ns[saturated[-1]]) + self._period_ns
+        if now_ns < self._saturated_ns:
+            now |= Flag.OUTPUT_SATURATED
         degc_age_s = (now_ns - samples.degc_time_ns[-1]) * NS
         self.status = Status(
             time_s=(now_ns - self._first_ns) * NS,
@@ -158,7 +165,7 @@ class RowWatch:
             output=dict(zip(axes, commands.output[-1].tolist(), strict=True)),
             counts=dict(zip(axes, samples.counts[-1].tolist(), strict=True)),
             counts_age_s=(now_ns - int(samples.counts_time_ns[-1])) * NS,
-            flags=Flag(int(flags[-1])),
+            flags=now,
             degc=dict(zip(sensors, samples.degc[-1].tolist(), strict=True)),
             degc_age_s=dict(zip(sensors, degc_age_s.tolist(), strict=True)),
             spindle_rpm=float(samples.spindle_rpm[-1]),

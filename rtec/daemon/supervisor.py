@@ -90,7 +90,9 @@ class Supervisor:
         self._on_event = on_event or (lambda _: None)
         self._clock = RealClock()
         self._notifier = Notifier.from_environment(os.environ, self._clock)
-        self._watch = RowWatch(self.layout, Flag(0) if setup.file.role.actuator else Flag.ORDERED_OFF)
+        longest_s = max(s.period_s for s in setup.step_settings().sinks.values())
+        without = Flag(0) if setup.file.role.actuator else Flag.ORDERED_OFF
+        self._watch = RowWatch(self.layout, without, round(longest_s * 1e9))
         self._recording = Recording(log_path, self._clock, self._new_log, self.warnings)
         self.events = Events(events_path(log_path))
         self.parts = DaemonParts(self._clock, self.note)

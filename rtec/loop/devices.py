@@ -73,6 +73,7 @@ def make_devices(setup: "Setup", clock: Clock) -> dict[str, Device]:
             faults.append(str(e))
     faults += _role_faults(out, setup.file.role, str(setup.path))
     faults += _sink_faults(out, setup)
+    faults += _sensor_faults(setup)
     if faults:
         raise ConfigError("\n".join(faults))
     return out
@@ -165,3 +166,25 @@ def _sink_faults(devices: Mapping[str, object], setup: "Setup") -> list[str]:
         if why:
             out.append(f"{setup.path}: [output.{axis.name}] [device.{setup.file.role.actuator}] {why}")
     return out
+
+
+def _sensor_faults(setup: "Setup") -> list[str]:
+    """Sensors that two devices would read: the correction would jump between them."""
+    out = []
+    for sensor in setup.machine.sensor_names:
+        devices = [d for d in setup.file.role.temperatures if names_sensor(setup.file.device.get(d, {}), sensor)]
+        if len(devices) > 1:
+            out.append(
+                f"{setup.path}: [role] temperatures: {' and '.join(repr(d) for d in devices)} name the same sensor, "
+                f"{sensor}; each sensor is read by one device"
+            )
+    return out
+
+
+def names_sensor(options: Any, name: str) -> bool:
+    """Whether options of a device name a sensor: as a key, as a value, or as a group of a pattern."""
+    if isinstance(options, Mapping):
+        return name in options or any(names_sensor(value, name) for value in options.values())
+    if isinstance(options, list | tuple):
+        return any(names_sensor(value, name) for value in options)
+    return isinstance(options, str) and (options == name or f"(?P<{name}>" in options)

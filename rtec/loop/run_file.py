@@ -261,6 +261,12 @@ class Setup:
         """Length of a cycle."""
         return round(1e9 / self.file.run.rate_hz)
 
+    @property
+    def inserts(self) -> bool:
+        """Whether counts of an axis are inserted."""
+        sinks = [self.file.output.get(a.name, PulseSink()) for a in self.machine.axes if a.compensate]
+        return any(isinstance(s, PulseSink) for s in sinks)
+
     def step_settings(self) -> StepSettings:
         """Settings of the step."""
         sinks = {a.name: self.file.output.get(a.name, PulseSink()).scale(a) for a in self.machine.axes}

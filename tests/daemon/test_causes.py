@@ -10,7 +10,7 @@ from rtec.correction.flags import MODE_ON, REASONS, Flag
 from rtec.daemon.causes import causes
 from rtec.daemon.ring import Ring
 from rtec.daemon.status import RowWatch, Status
-from rtec.loop.records import NEVER_NS, Samples
+from rtec.loop.records import NEVER_NS, Commands, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 from tests.support import plain_step, setups
@@ -115,3 +115,17 @@ def test_a_request_over_a_limit_names_the_axis_and_its_size(setup: Setup) -> Non
         "OVER_STOP_LIMIT": f"{um:+.2f} µm for axis X, and stop_um is 0.001",
         "OVER_WARNING_LIMIT": f"{um:+.2f} µm for axis X, and warning_um is 0.0001",
     }
+
+
+def test_an_output_that_gives_no_more_stays_so_until_its_next_value(setup: Setup) -> None:
+    """A register that takes a value a second: only one row of a thousand has a new one. Oracle: that second."""
+    layout = Step(setup.step_settings()).layout
+    with Ring.create(layout, 8) as ring:
+        watch = RowWatch(layout, period_ns=1_000_000_000)
+        seen = []
+        for k, flag in enumerate([0, int(Flag.OUTPUT_SATURATED), 0, 0, 0]):
+            sample, command = Samples.empty(layout, 1), Commands.empty(layout, 1)
+            sample.time_ns[0], command.flags[0] = NOW_NS + 400_000_000 * k, flag
+            watch.look(sample, command, ring)
+            seen.append(Flag.OUTPUT_SATURATED in watch.status.flags)
+    assert seen == [False, True, True, True, False]

@@ -302,7 +302,7 @@ def test_an_unknown_zero_costs_the_model_before_as_much_as_the_model_after() -> 
 
 
 def test_one_speed_determines_no_exponent() -> None:
-    """Of one speed k and p are one number: a fit had p = 2.98 with a standard error of 0.005, and 14 µm at half of it."""
+    """Of one speed k and p are one number: a fit had p = 2.98 ± 0.005, and 14 µm at half of the speed."""
     trial = build("improve", "any_spindle_heat", 32001)
     model, measured = model_of_trial(trial), measurements_of(trial)
     kind = effect_class("spindle_growth", "test")

@@ -1,5 +1,6 @@
 """Devices of a run file. Oracle: the ports that a driver has, and the roles that it is given."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,3 +40,17 @@ def test_a_device_is_refused_a_role_that_its_driver_cannot_play(
     said = [line.split("[role] ")[1] for line in str(refused.value).splitlines()]
     cannot = "= 'box': that device's driver cannot do this"
     assert said == [f"counts {cannot}", f"actuator {cannot}", f"spindle {cannot}"]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"files": {"T_bed": "a"}}, {"patterns": ["A=(?P<T_bed>[0-9.]+)"]}, {"sensor": [{"name": "T_bed", "address": 4}]}],
+)
+def test_a_sensor_that_two_devices_read_is_refused(tmp_path: Path, other: dict[str, Any]) -> None:
+    """The correction would jump between both. Oracle: the tables, which name it twice."""
+    made = setup(tmp_path)
+    tables = {"one": {"driver": "sim", "sensors": ["T_bed"]}, "two": {"driver": "sim", **other}}
+    role = made.file.role.model_copy(update={"temperatures": ("one", "two")})
+    both = replace(made, file=made.file.model_copy(update={"role": role, "device": {**made.file.device, **tables}}))
+    with pytest.raises(ConfigError, match="temperatures: 'one' and 'two' name the same sensor, T_bed; each sensor is"):
+        devices.make_devices(both, VirtualClock())

@@ -267,14 +267,50 @@ def test_a_run_file_that_was_changed_since_decides_the_mode(step: Step) -> None:
     assert recover(step, found(saved_of(step, mode=MODE_OFF), start_mode=MODE_HOLD)).mode == MODE_HOLD
 
 
-def test_after_an_end_in_order_the_run_file_decides(step: Step) -> None:
+def ended(step: Step, mode: int, start_mode: int = MODE_ON) -> Saved:
+    """The state of a run that ended in order."""
     image = np.zeros(IMAGE_BYTES, np.uint8)
-    writer = StateWriter(image, step, MODE_ON)
-    writer.order = MODE_OFF
+    writer = StateWriter(image, step, start_mode)
+    writer.order = mode
     writer.finish(sample(step, 1), np.array([120, 7]), 1)
-    start = recover(step, found(newest(image.tobytes())))
-    assert (start.mode, start.waits, start.notes) == (MODE_ON, "", [])
+    out = newest(image.tobytes())
+    assert out is not None
+    return out
+
+
+@pytest.mark.parametrize(
+    ("ordered", "file", "then"),
+    [
+        (MODE_OFF, MODE_ON, MODE_OFF),
+        (MODE_HOLD, MODE_ON, MODE_HOLD),
+        (MODE_ON, MODE_ON, MODE_ON),
+        (MODE_ON, MODE_HOLD, MODE_HOLD),
+    ],
+)
+def test_an_order_that_stops_stays_after_an_end_in_order(step: Step, ordered: int, file: int, then: int) -> None:
+    """An orderly restart must not undo what a person ordered in doubt; nor does it go on correcting by itself."""
+    start = recover(step, found(ended(step, ordered, file), start_mode=file))
+    assert (start.mode, start.waits) == (then, "")
+    assert [("was ordered before the run ended" in n) for n in start.notes] == [True] * (then != file)
     assert start.output.tolist() == [5, -5]
+
+
+def test_the_order_of_another_step_ends_with_its_run(step: Step) -> None:
+    """A sign check ends with an order to zero; the run after it is the run file's."""
+    check = replace(ended(step, MODE_OFF), structure=b"a step of one constant".ljust(32))
+    start = recover(step, found(check))
+    assert (start.mode, start.notes) == (MODE_ON, [])
+
+
+def test_counts_that_were_lost_between_two_runs_wait_for_an_order(step: Step) -> None:
+    """A box without supply begins at nothing, where the axes stand; an offset register has lost its number alone."""
+    box = recover(step, found(ended(step, MODE_ON), inserts=True))
+    assert "the actuator has X -2.50 µm, Z +2.50 µm, the run before left X -60.00 µm, Z -3.50 µm" in box.waits
+    assert recover(step, found(ended(step, MODE_ON), inserts=True, output=np.array([120, 7]))).waits == ""
+    later = recover(step, found(ended(step, MODE_ON), inserts=True, output=None))
+    assert later.expected is not None
+    assert later.expected.tolist() == [120, 7]
+    assert recover(step, found(ended(step, MODE_ON))).waits == ""
 
 
 def test_a_wait_that_was_cut_off_goes_on(step: Step) -> None:
