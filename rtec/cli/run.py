@@ -114,7 +114,8 @@ def show_report(setup: "Setup", report: "Report") -> None:
     if report.overruns:
         console.print(f"rows that did not reach the log: {report.overruns}", style="bold red")
     if report.interrupted:
-        console.print("interrupted: correction held, log flushed, devices closed")
+        did = "output at zero" if setup.step_um else "correction held"
+        console.print(f"interrupted: {did}, {'log flushed, ' if report.log else ''}devices closed")
     if report.log:
         console.print(f"log: {report.log}", highlight=False, soft_wrap=True)
 
@@ -144,6 +145,8 @@ def show_dry_run(setup: "Setup", found: dict[str, Any]) -> None:
         console.print(f"would hold: {reason}", style="yellow")
     for trouble in found["troubles"]:
         console.print(trouble, style="bold red", markup=False, highlight=False)
+    for note in found["notes"]:
+        console.print(f"note: {note}", style="yellow", markup=False, highlight=False)
     console.print("not ready: see above" if found["reasons"] or found["troubles"] else "ready to run")
 
 

@@ -17,6 +17,7 @@ from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.records import NEVER_NS, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
+from rtec.wording import listed
 
 NS = 1e-9
 WAIT_S: Final = 3.0
@@ -70,7 +71,21 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
         "reasons": [text for flag, text in REASONS.items() if flag & Flag(flags)],
         "troubles": [*wrong, *folder_faults(setup)],
+        "notes": unlimited(setup),
     }
+
+
+def unlimited(setup: Setup) -> list[str]:
+    """A line on positions and temperatures that the model reads without a range, outside of which it would hold."""
+    read, machine = setup.model.channels, setup.machine
+    names = [a.channel for a in machine.axes if a.channel in read] + [n for n in machine.sensor_names if n in read]
+    without = [name for name in names if name not in setup.model.valid_range]
+    if not without:
+        return []
+    return [
+        f"the model has no [valid_range] of {listed(without)}: the correction does not hold where nobody has measured "
+        "(a model of rtec fit has the ranges of its readings)"
+    ]
 
 
 def _read(ports: Ports, sample: Samples) -> list[str]:

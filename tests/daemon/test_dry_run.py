@@ -1,13 +1,14 @@
 """A dry run with devices that are polled, or silent. Oracle: registers of the slaves, and when they answer."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rtec.cli.main import status
-from rtec.daemon.dry_run import dry_run
+from rtec.daemon.dry_run import dry_run, unlimited
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import VirtualClock
 from rtec.loop.run_file import load_setup
@@ -159,3 +160,14 @@ def test_the_first_counts_of_a_device_are_no_motion(tmp_path: Path, monkeypatch:
     wanted, later = found(0), found(4)
     assert wanted["inputs"][0][:2] == later["inputs"][0][:2]
     assert later["requested_um"]["X"] == pytest.approx(wanted["requested_um"]["X"], abs=0.1)
+
+
+def test_a_model_without_ranges_is_said(tmp_path: Path) -> None:
+    """Oracle: the model's channels, and the ranges that it is given."""
+    made = setups.setup(tmp_path)
+    reads = [c for c in made.model.channels if c in {"x", "z", *made.machine.sensor_names}]
+    assert reads
+    bare = replace(made, model=replace(made.model, valid_range={}))
+    (note,) = unlimited(bare)
+    assert all(name in note for name in reads)
+    assert unlimited(replace(made, model=replace(made.model, valid_range=dict.fromkeys(reads, (0.0, 40.0))))) == []
