@@ -21,6 +21,7 @@ from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, Dr
 from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
 from rtec_drivers.registry import DRIVERS
+from rtec_drivers.zmq import driver as zmq_driver
 from rtec_drivers.zmq import link as zmq_link
 from rtec_drivers.zmq.driver import ClockOffset, ZmqLinkDriver
 from rtec_drivers.zmq.link import ZmqOptions, leaves_computer
@@ -200,6 +201,20 @@ def test_garbage_is_told_and_passes(tmp_path: Path) -> None:
             with cell.lock:
                 cell.silent = False
             assert soon(CLOCK, lambda: counts_of(link)) == [1000, -2000]
+
+
+def test_a_message_that_is_too_large_does_not_end_the_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """libzmq leaves such a peer, and does not come back by itself. Oracle: the counts that the peer publishes then."""
+    monkeypatch.setattr(zmq_driver, "RECONNECT_NS", 50_000_000)
+    with ipc_cell(tmp_path) as cell, driver(addresses(tmp_path, silent_s=0.02)) as link:
+        assert soon(CLOCK, lambda: counts_of(link)) == [1000, -2000]
+        with cell.lock:
+            cell.raw = b"x" * 5_000_000
+        told(link, counts_of, "no message for")
+        with cell.lock:
+            cell.position = {"X": 1001, "Z": -2000}
+        assert soon(CLOCK, lambda: counts_of(link) == [1001, -2000])
+        assert soon(CLOCK, lambda: command(link, 7, -9))
 
 
 def test_the_document_says_what_the_driver_reads() -> None:

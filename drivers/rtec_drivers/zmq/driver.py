@@ -282,6 +282,8 @@ class CommandAccount:
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 LOOK_S = 0.01
+RECONNECT_NS = 5_000_000_000
+"""After this time without any message both addresses are connected anew; libzmq's own heartbeat takes 3 s."""
 
 
 class ZmqLinkDriver:
@@ -318,6 +320,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         if options.max_speed_mm_s:
             self._tracker = CountTracker(machine.axis_names, 64, max_counts_per_s(options.max_speed_mm_s, machine))
         self._sockets: Sockets | None = None
+        self._received_ns = 0
         self._book = StateBook(machine, options)
         self._commands = CommandAccount(machine.axis_names, options.resume_step, options.command_timeout_s)
         self._counts: Counts | None = None
@@ -331,7 +334,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
             DriverUnavailable: an address cannot be used.
         """
         self._book = StateBook(self._machine, self.options)
-        self._sockets = Sockets(self.options, self._keys)
+        self._sockets, self._received_ns = Sockets(self.options, self._keys), self._clock.now_ns()
         self.resume()
         try:
             self._first_message(self._sockets)
@@ -446,7 +449,13 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         if self._sockets is None:
             raise DriverUnavailable("zmq_link: not entered, so nothing is connected")
         now_ns = self._clock.now_ns()
-        for text in self._sockets.states():
+        texts = self._sockets.states()
+        if texts:
+            self._received_ns = now_ns
+        elif now_ns - self._received_ns > RECONNECT_NS:
+            self._received_ns = now_ns
+            self._sockets.reconnect()
+        for text in texts:
             state = self._book.take(text, now_ns)
             if state is not None:
                 self._commands.reported(state.boot, state.output)

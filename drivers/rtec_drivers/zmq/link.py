@@ -3,6 +3,7 @@
 import ipaddress
 import re
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -131,6 +132,8 @@ RECONNECT_MS = 100
 class Sockets:
     """Subscriber and dealer, connected; libzmq reconnects by itself, with growing waits.
 
+    It does not after a message larger than `LARGEST_MESSAGE`: then `reconnect` does.
+
     Raises:
         DriverUnavailable: pyzmq is not installed, or an address cannot be used.
     """
@@ -140,7 +143,7 @@ class Sockets:
             import zmq
         except ImportError as e:
             raise DriverUnavailable(f"pyzmq is not installed: {e}") from e
-        self._zmq = zmq
+        self._zmq, self._options = zmq, options
         self._context: Any = zmq.Context()
         try:
             self._state = self._socket(zmq.SUB, keys)
@@ -158,6 +161,14 @@ class Sockets:
     def close(self) -> None:
         """Close both, and the threads behind them."""
         self._context.destroy(linger=0)
+
+    def reconnect(self) -> None:
+        """Connect both anew; does not wait. libzmq leaves a peer for good whose message was too large."""
+        for socket, address in ((self._state, self._options.state), (self._command, self._options.command)):
+            if socket is not None:
+                with suppress(self._zmq.ZMQError):  # it has left that address already
+                    socket.disconnect(address)
+                socket.connect(address)
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for a state, for at most that time."""
