@@ -137,7 +137,11 @@ def read_layout(path: Path, metadata: Mapping[str, str]) -> Layout:
     """
     version = metadata.get("rtec.log")
     if version != FORMAT_VERSION:
-        content = "an Arrow stream, but not a log of rtec" if version is None else f"log format {version!r}"
+        content = (
+            "Arrow, but not a log of rtec; a table of rtec log export is none"
+            if version is None
+            else f"log format {version!r}"
+        )
         raise LogError(f"log {path}: {content}; format {FORMAT_VERSION!r} is needed")
     return Layout(_read_names(path, metadata, "rtec.axes"), _read_names(path, metadata, "rtec.sensors"))
 

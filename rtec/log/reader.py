@@ -26,6 +26,8 @@ from rtec.loop.records import Commands, Field, Samples
 _MAX_PLANS: Final = 256
 _MESSAGE: Final = b"\xff\xff\xff\xff"
 """First bytes of every message of a stream."""
+_FRAME: Final = b"\xff\xff\xff\xff"
+"""First bytes of every message of an Arrow stream."""
 _NOTHING: Final = pa.py_buffer(b"")
 _Broken = (pa.ArrowException, OSError, EOFError, ValueError, TypeError, KeyError, OverflowError)
 
@@ -53,7 +55,8 @@ class LogReader:
             self.layout = read_layout(path, metadata)
             check_columns(path, self._schema, self.layout)
         except _Broken as error:
-            raise LogError(f"log {path}: not an Arrow IPC stream: {first_line(error)}") from error
+            why = first_line(error) if self._memory[:4] == _FRAME else "a table of rtec log export is none"
+            raise LogError(f"log {path}: not an Arrow IPC stream: {why}") from error
         self.header = {k: v for k, v in metadata.items() if not k.startswith("rtec.")}
         self._sample_fields, self._command_fields = Samples.fields_of(self.layout), Commands.fields_of(self.layout)
         self._first = self._source.tell()

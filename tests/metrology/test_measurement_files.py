@@ -602,3 +602,19 @@ def test_reading_a_table_does_not_load_pandas(tmp_path: Path) -> None:
     paths = [str(write(tmp_path, text(rows()))), str(as_parquet(tmp_path / "other"))]
     root = Path(__file__).parents[2]
     assert subprocess.run([sys.executable, "-c", READ, *paths], cwd=root, check=False).returncode == 0
+
+
+def test_a_tool_tip_that_reads_fewer_directions_says_how_to_write_it(tmp_path: Path) -> None:
+    """Oracle: the file is read once the words of the fault are in it."""
+    path = tmp_path / "tip.csv"
+    path.write_text(
+        "run,time_s,x_mm,z_mm,reading_x_um,reading_z_um\n1,0,0,0,1.5,2.5\n1,9,50,0,1.0,2.0\n", encoding="utf-8"
+    )
+    meta = '[measurement]\ninstrument = "tool_tip"\nmachine = "turning-centre"\n[setup]\n'
+    path.with_suffix(".toml").write_text(meta, encoding="utf-8")
+    said = fault(path)
+    assert "column 'reading_y_um' is missing" in said
+    words = 'directions = ["X", "Z"]'
+    assert f"with {words} in [setup] it reads no others" in said
+    path.with_suffix(".toml").write_text(meta + words + "\n", encoding="utf-8")
+    assert tuple(load_measurement(path, machine()).readings) == ("reading_x_um", "reading_z_um")

@@ -318,7 +318,7 @@ def _worth(test: Extra, gain: float) -> tuple[bool, float, float]:
 def _words(known: str, test: Extra, gain: float) -> str:
     if gain >= CLEAR and test.hours <= A_DAY:
         odds = "more than 1000 to 1" if gain > math.log(1000.0) else f"about {math.exp(gain):.0f} to 1"
-        text = f"here: {test.name} ({hours_in_words(test.hours)}), expected odds {odds}"
+        text = f"{'here: ' if known else ''}{test.name} ({hours_in_words(test.hours)}), expected odds {odds}"
     else:
         text = words.NONE_SETTLES + (" within a day" if gain >= CLEAR else "")
     return f"{known}; {text}" if known else text

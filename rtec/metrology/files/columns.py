@@ -4,6 +4,7 @@ In a ball-bar table angles give positions, and the circle gives directions, velo
 """
 
 import difflib
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -63,9 +64,11 @@ def _missing(
     if followed is not None and instrument.axis_use == "required":
         needed.append(f"{followed}_mm")
         ways[needed[-1]] = f"the {instrument.name} follows axis {instrument.axis}; give its commanded position in mm"
+    read = [d for d in getattr(instrument.setup, "directions", ()) if f"reading_{d.lower()}_um" in used]
+    fewer = f"; with directions = {json.dumps(read)} in [setup] it reads no others" if read else ""
     for name in needed:
         if name not in used:
-            way = ways.get(name, f"the {instrument.name} gives {', '.join(instrument.columns())}")
+            way = ways.get(name, f"the {instrument.name} gives {', '.join(instrument.columns())}{fewer}")
             faults.whole(f"column {name!r} is missing{_near(name, set(names) - set(used))}; {way}")
 
 
