@@ -18,7 +18,8 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.warmth import expands_much
-from rtec.wording import ERROR_UNITS, number, significant
+from rtec.metrology.instruments.laser import LaserLinear
+from rtec.wording import ERROR_UNITS, listed, number, significant
 
 Floats = NDArray[np.float64]
 
@@ -194,6 +195,29 @@ def own_warm_up(label: str) -> Doubt:
     )
     step = "Measure again once the instrument has been on for hours, or record it capped for the same time."
     return Doubt("instrument_warm_up", message, step, fatal=True)
+
+
+def beam_in_air(readings: Readings, named: Sequence[Effect]) -> Doubt | None:
+    """Doubt where an effect follows the air that a laser's beam goes through, and the file does not say how."""
+    lasers = [
+        m.name
+        for m in readings.measurements
+        if isinstance(m.instrument, LaserLinear) and m.instrument.setup.air_sensor is None
+    ]
+    read = {c for e in named for c in e.channels(readings.machine)}
+    air = [s for s in readings.machine.sensor_names if s in read and "air" in s.lower()]
+    if not lasers or not air:
+        return None
+    message = (
+        f"{listed(air)} is also the air of the beam of {listed(lasers)}, which changes by {AIR_UM_PER_M_DEGC:g} µm per "
+        "metre and kelvin, dead path included, where nothing corrects it."
+    )
+    step = "If nothing did, give air_sensor and interferometer_mm in [setup] of the file."
+    return Doubt("beam_in_air", message, step)
+
+
+AIR_UM_PER_M_DEGC = 0.93
+"""Change of a wavelength in air per metre and kelvin, µm: that of the index of air."""
 
 
 def only_time(readings: Readings) -> Doubt:

@@ -117,7 +117,7 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
         d: without a sentence.
         smallest: size from which on half of the searched effects would have been detected.
         odd: readings of the wrong sign or unit, in words.
-        foreign: files that may be of another machine, in words.
+        foreign: sentences that follow: on files that may be of another machine, on the air of a beam.
     """
     if odd and d.verdict == "undecided":
         return replace(d, sentence=" ".join([*odd, *_until_then(d)]))

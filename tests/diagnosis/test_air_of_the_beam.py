@@ -4,13 +4,16 @@ Oracle: the index of air, -0.93e-6 per kelvin over the whole beam, of which 450 
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.heat import beam_in_air
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.outliers import clean
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -75,3 +78,22 @@ def test_the_air_is_named_and_no_exchange_of_sensors(seed: int) -> None:
 def test_exchanged_sensors_are_still_seen(seed: int) -> None:
     d = diagnose(model(), [day(seed, 1.5, 3.0, exchanged=True)], draws=50)
     assert [x.kind for x in d.doubts if x.fatal] == ["swapped_sensors"]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "setup", "asks"),
+    [
+        ("T_air", {}, True),
+        ("T_x", {}, False),
+        ("T_air", {"air_sensor": "T_air", "interferometer_mm": -DEAD_MM}, False),
+    ],
+)
+def test_an_effect_of_the_air_asks_whether_the_beam_was_corrected(
+    sensor: str, setup: dict[str, Any], asks: bool
+) -> None:
+    """Only where a laser read it, and its file does not say what its air did."""
+    m = replace(day(1, 2.0, 2.0), instrument=make_instrument("laser_linear", setup, "X", None, MACHINE, "test"))
+    named = effect_from_text(f"mount_expansion,component=EXX,sensor={sensor},k=2", MACHINE).effect
+    doubt = beam_in_air(clean([m], 20.0).readings, [named])
+    assert (doubt is not None) == asks
+    assert doubt is None or (not doubt.fatal and "T_air is also the air of the beam of" in doubt.message)

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.doubts.record import runs_too_few, scatters, swings, too_few, unexplained
-from rtec.diagnosis.heat import drift_by_far, heat_by_time, lag_assumed, substitute_sensor, unrecorded_heat
+from rtec.diagnosis.heat import (
+    beam_in_air,
+    drift_by_far,
+    heat_by_time,
+    lag_assumed,
+    substitute_sensor,
+    unrecorded_heat,
+)
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown
 from rtec.diagnosis.search import picture
@@ -355,7 +362,8 @@ class _Answer:
         if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(read):
             slow = self._slow_beside(first, findings[0].size_um)
         slow = slow or self._heat_by_time()
-        return (*out, *(d for d in (substitute, slow) if d is not None))
+        air = beam_in_air(self.readings, [self.s.candidates[n].effect for n in named])
+        return (*out, *(d for d in (substitute, slow, air) if d is not None))
 
     def _drift(self, findings: Sequence[Finding]) -> Doubt | None:
         """Doubt where nothing is named, and a drift by many times the noise, or anything else, stays unexplained."""
@@ -523,6 +531,7 @@ class _Answer:
         fatal = [d.words for d in draft.doubts if d.fatal]
         asks = draft.named_drop < MOSTLY_NAMED  # a named effect answers the question whose file it is
         foreign = [d.words for d in draft.doubts if d.kind == "other_machine"] if asks else []
+        foreign += [d.words for d in draft.doubts if d.kind == "beam_in_air"]
         return words.with_sentence(draft, smallest, fatal, foreign)
 
     def _member(self, t: Refitted) -> Member:
