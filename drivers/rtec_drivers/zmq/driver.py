@@ -283,7 +283,7 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 LOOK_S = 0.01
 RECONNECT_NS = 5_000_000_000
-"""After this time without any message both addresses are connected anew; libzmq's own heartbeat takes 3 s."""
+"""After this time without any message both addresses are connected again; libzmq's own heartbeat takes 3 s."""
 
 
 class ZmqLinkDriver:

@@ -163,7 +163,7 @@ class Sockets:
         self._context.destroy(linger=0)
 
     def reconnect(self) -> None:
-        """Connect both anew; does not wait. libzmq leaves a peer for good whose message was too large."""
+        """Connect both again; does not wait. libzmq leaves a peer for good whose message was too large."""
         for socket, address in ((self._state, self._options.state), (self._command, self._options.command)):
             if socket is not None:
                 with suppress(self._zmq.ZMQError):  # it has left that address already
