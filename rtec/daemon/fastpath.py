@@ -242,7 +242,7 @@ def _run(task: LoopTask, pipe: Connection) -> dict[str, Any]:
         ring.orders.mode = start.mode
         loop.keeper = StateWriter(image, step, MODES_BY_NAME[setup.file.run.mode], start.sequence)
         after_cycle = AfterCycle(loop, ring, pipe, image, setup.file.run.rate_hz)
-        told_all = {**_ready(step, start, warnings), "one_way": isinstance(ports.actuator, OneWay)}
+        told_all = {**_ready(step, start, warnings), "forgets": at_start.one_way or at_start.inserts}
         _tell(pipe, "ready", told_all)
         try:
             loop.run(task.cycles, after_cycle)

@@ -230,7 +230,7 @@ class Supervisor:
             finally:  # the last rows before the loop died are the most interesting ones
                 while self._drain(ring, disk):
                     pass
-        self._remove_state(ready["one_way"])
+        self._remove_state(ready["forgets"])
         if unfinished := self._step_orders.trouble(self.status):
             self.warnings.append(unfinished)
         return Report(
@@ -334,11 +334,15 @@ class Supervisor:
         if lost:
             self._notifier.lost()
 
-    def _remove_state(self, one_way: bool) -> None:
-        """Remove the state in memory: after a run that ended in order, the disk or the actuator has it."""
+    def _remove_state(self, forgets: bool) -> None:
+        """Remove the state in memory after a run that ended in order, if the disk has it or the next run needs none.
+
+        The next run needs an order that stays, and the output of an actuator that forgets it.
+        """
         saved = self._memory.newest()
         on_disk = self._disk_state is not None and not self._state_trouble()
-        if saved is not None and saved.clean and (on_disk or not one_way):
+        needed = saved is not None and (forgets or saved.mode != saved.start_mode)
+        if saved is not None and saved.clean and (on_disk or not needed):
             self._memory.remove()
 
     def _state_trouble(self) -> str:

@@ -227,6 +227,31 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path) -> None:
     assert not socket_path(config).exists()
 
 
+@pytest.mark.parametrize("folder", ["on disk", "in memory"])
+def test_an_ordered_hold_stays_over_an_orderly_restart(tmp_path: Path, folder: str) -> None:
+    """Whether the run file names a folder for the state or not. Oracle: the orders; the run file's mode is on."""
+    content = setups.tables(tmp_path)
+    if folder == "in memory":
+        del content["run"]["log_folder"]
+    config = setups.write(tmp_path, content)
+
+    def run(order: str, before: str, after: str) -> None:
+        running = Running(config, tmp_path / f"{order}.arrows")
+        try:
+            running.until_it_runs()
+            assert status(running)["status"]["mode"] == before
+            assert here("ctl", order, config).returncode == 0
+            assert until(lambda: status(running)["status"]["mode"] == after)
+            running.end()
+        finally:
+            running.process.kill()
+            running.process.communicate()
+
+    run("hold", before="on", after="hold")
+    run("enable", before="hold", after="on")
+    run("fade", before="on", after="off")
+
+
 def test_a_sensor_that_holds_the_correction_is_named_and_the_exit_status_is_1(
     tmp_path: Path,
 ) -> None:
