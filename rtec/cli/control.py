@@ -8,7 +8,7 @@ import typer
 
 from rtec.cli.common import Json, print_console, print_json
 from rtec.cli.help import App
-from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
+from rtec.control.facts import AXIS_COLUMNS, axis_rows, footer, headline, input_rows, troubles, well
 from rtec.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ At = Annotated[
 KeyFile = Annotated[
     Path | None, typer.Option("--key", help="For --at: the key file that ssh shows there.", show_default=False)
 ]
-app = App(help="Controls a running daemon: enable, hold, fade, resume, reload, mark.")
+app = App(help="Controls a running daemon: enable, hold, fade, resume, home, reload, mark.")
 
 
 @app.command()
@@ -72,6 +72,30 @@ def resume(config: Config = None, at: At = None, key: KeyFile = None, as_json: J
     Example: `rtec ctl resume`
     """
     _give("resume", "", config, at, key, as_json)
+
+
+@app.command()
+def home(
+    positions: Annotated[
+        list[str],
+        typer.Argument(metavar="AXIS=MM", help="Where the axes stand. The run file of the daemon may follow."),
+    ],
+    at: At = None,
+    key: KeyFile = None,
+    as_json: Json = False,
+) -> None:
+    """Tells where the axes stand, for incremental encoders: after the encoder box got its supply.
+
+    Example: `rtec ctl home X=0 Z=120.5`
+
+    Reference the axes with the controller, let them stand, and give the positions that it shows. The correction holds
+    until then, if the run file has `[run] zero = "ordered"`. The positions hold for as long as the box has its supply.
+    Exit status 1 if an axis moves or its counts cannot be read.
+    """
+    config = None if "=" in positions[-1] else Path(positions.pop())
+    if not positions:
+        raise ConfigError("rtec ctl home: name where the axes stand, such as X=0 Z=120.5, before the run file")
+    _give("home", " ".join(positions), config, at, key, as_json)
 
 
 @app.command()
@@ -182,7 +206,7 @@ def page(found: dict[str, Any]) -> "RenderableType":
     from rich.console import Group
     from rich.text import Text
 
-    axes = _table(("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts"), axis_rows(found))
+    axes = _table(AXIS_COLUMNS, axis_rows(found))
     inputs = _table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else [])
     return Group(
         *(Text(line) for line in headline(found)),

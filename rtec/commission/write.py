@@ -10,7 +10,7 @@ import tomli_w
 from rtec.commission.answers import FOLDER, Answers, AxisAnswer, template_tables
 from rtec.correction.flags import CYCLES_OF_AGE
 from rtec.loop.clock import RealClock
-from rtec.loop.devices import make_devices
+from rtec.loop.devices import driver_class, make_devices
 from rtec.loop.run_file import Roles, setup_of
 from rtec.machine import Machine, machine_from
 from rtec.model import Model
@@ -144,12 +144,16 @@ def run_text(answers: Answers, role: Roles) -> str:
         "mode": answers.mode,
         "log_folder": str(answers.log_folder),
     }
+    incremental = driver and hasattr(driver_class(driver, RUN), "supply")
+    if incremental:
+        run["zero"] = "ordered"
     parts = [
         f"# Run file of {answers.name!r}, made by rtec init. Every key: docs/files.md.\n"
         "#   rtec doctor run.toml           what the devices read\n"
         "#   rtec run run.toml --dry-run    reads everything, commands nothing\n"
         "#   rtec run run.toml --step X=20um    checks the sign with an indicator, see docs/runbook.md\n",
         '# mode: "hold" moves nothing after a start; "on" corrects, once the model was measured.\n'
+        + ("# zero: incremental encoders need `rtec ctl home`, see docs/encoder-box.md.\n" if incremental else "")
         + _table("run", run),
         "# Which device reads the counts and the temperatures, and which takes the correction.\n"
         + _table("role", role.model_dump(exclude_none=True, exclude_defaults=True)),

@@ -46,7 +46,12 @@ _MODE_WORDS: Final = {
     Order.HOLD: "the correction stays where it is",
     Order.FADE: "the correction goes to nothing at its slew limit",
 }
-_NOTED: Final = {Order.MARK: ("mark",), Order.RELOAD: ("reloaded", "not reloaded"), Order.RESUME: ("resume",)}
+_NOTED: Final = {
+    Order.MARK: ("mark",),
+    Order.RELOAD: ("reloaded", "not reloaded"),
+    Order.HOME: ("homed", "not homed"),
+    Order.RESUME: ("resume",),
+}
 
 
 @dataclass(frozen=True)
@@ -292,7 +297,7 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
         return None
     if order is Order.MARK:
         return Outcome(True, f"marked row {new[-1]['row']}, {new[-1]['utc']}: {new[-1]['text']}", after)
-    return Outcome(new[-1]["what"] == "reloaded", new[-1]["text"], after)
+    return Outcome(not new[-1]["what"].startswith("not "), new[-1]["text"], after)
 
 
 def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:

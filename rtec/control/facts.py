@@ -30,17 +30,20 @@ def well(report: Mapping[str, Any]) -> bool:
     return not (troubles(report) or held(status) or INPUT_FAULTS & set(status["flags"]))
 
 
+AXIS_COLUMNS: Final = ("axis", "position, mm", "requested, µm", "applied, µm", "residual, µm", "output, units")
+
+
 def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
-    """For each axis: name, requested and applied correction, residual of the last measurement, output, counts."""
+    """For each axis: name, position, requested and applied correction, residual of the last measurement, output."""
     status, residual = report["status"], report["left"]["axes"]
     return [
         [
             axis,
+            f"{status['position_mm'][axis]:.4f}",
             um_text(status["requested_um"][axis]),
             um_text(status["applied_um"][axis]),
             f"{residual[axis]['rms_um']:.2f}" if axis in residual else "not known",
             f"{status['output'][axis]:+d}",
-            f"{status['counts'][axis]:d}",
         ]
         for axis in status["applied_um"]
     ]

@@ -16,7 +16,10 @@ from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.records import NEVER_NS, Samples
 from rtec.loop.run_file import Setup
+from rtec.loop.state import units_of
+from rtec.loop.state_files import kept, state_places
 from rtec.loop.step import Step
+from rtec.loop.zero import Zero
 from rtec.wording import listed
 
 NS = 1e-9
@@ -51,10 +54,12 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     sample.counts_time_ns[0] = NEVER_NS
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
-        _read(ports, sample)  # a device may get ready at the first read; that is no wait
+        zero = _zero(setup, ports, step)
+        restarted = [""]
+        _read(ports, sample, zero, restarted)  # a device may get ready at the first read; that is no wait
         end_ns, stale = clock.now_ns() + round(wait_s / NS), int(STALE)
         while True:
-            wrong = _read(ports, sample)
+            wrong = _read(ports, sample, zero, restarted)
             sample.time_ns[0] = clock.now_ns()
             commands = step.run(sample)
             flags = int(commands.flags[0]) & HOLD_REASONS
@@ -66,13 +71,27 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         if sample.counts_time_ns[0] == NEVER_NS:
             ports.counts.read_counts(sample.counts[0])  # no counts, no position: raises the device's own error
     flags = flags & ~int(STALE) | stale  # an input that was fresh at one read is alive
+    if not zero.known:
+        flags &= ~int(Flag.OUT_OF_RANGE)
     return {
-        "inputs": input_rows(setup, sample),
+        "inputs": input_rows(setup, sample, zero.known),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
-        "reasons": [text for flag, text in REASONS.items() if flag & Flag(flags)],
+        "reasons": [
+            *(text for text in (zero.why, restarted[-1]) if text),
+            *(text for flag, text in REASONS.items() if flag & Flag(flags)),
+        ],
         "troubles": [*wrong, *folder_faults(setup)],
         "notes": unlimited(setup),
     }
+
+
+def _zero(setup: Setup, ports: Ports, step: Step) -> Zero:
+    """The zero of the axes as the next run will find it."""
+    zero = Zero(ports.counts, step.layout.axes, by_order=setup.file.run.zero == "ordered")
+    saved = kept(state_places(setup.path, setup.state_folder))
+    if saved is not None and saved.units == units_of(step):
+        zero.go_on(saved.zero, saved.supply, saved.homed)
+    return zero
 
 
 def unlimited(setup: Setup) -> list[str]:
@@ -88,7 +107,7 @@ def unlimited(setup: Setup) -> list[str]:
     ]
 
 
-def _read(ports: Ports, sample: Samples) -> list[str]:
+def _read(ports: Ports, sample: Samples, zero: Zero, restarted: list[str]) -> list[str]:
     """Read everything once, the counts last, since they age first; give the faults, a line a device."""
     wrong = {}
     for k, source in enumerate(ports.temperatures):
@@ -102,18 +121,22 @@ def _read(ports: Ports, sample: Samples) -> list[str]:
         except DriverError as e:
             wrong[ports.name("spindle")] = str(e)
     try:
-        sample.counts_time_ns[0] = ports.counts.read_counts(sample.counts[0])
+        counts = np.zeros_like(sample.counts[0])
+        sample.counts_time_ns[0] = ports.counts.read_counts(counts)
+        if why := zero.lost():
+            restarted.append(why)
+        sample.counts[0] = counts + zero.offset
     except DriverError as e:
         wrong[ports.name("counts")] = str(e)
     return [f"device {name}: {text}" for name, text in wrong.items()]
 
 
-def input_rows(setup: Setup, sample: Samples) -> list[tuple[str, str, str]]:
+def input_rows(setup: Setup, sample: Samples, zero_known: bool = True) -> list[tuple[str, str, str]]:
     """Name, value and age of every input."""
     now = int(sample.time_ns[0])
     counts_age = f"{(now - int(sample.counts_time_ns[0])) * NS * 1e3:.1f} ms"
     out = [
-        (f"axis {a.name}", f"{counts / a.counts_per_mm:.4f} mm", counts_age)
+        (f"axis {a.name}", f"{counts / a.counts_per_mm:.4f} mm" if zero_known else "not known", counts_age)
         for a, counts in zip(setup.machine.axes, sample.counts[0].tolist(), strict=True)
     ]
     for i, sensor in enumerate(setup.machine.sensors):

@@ -4,9 +4,9 @@ It owns the count source, the actuator and the kept state. It ends when its cycl
 requests it through the ring, or in the next cycle after the supervisor has ended. In each case the devices hold, then
 close.
 
-Between two cycles (`AfterCycle`) it publishes the row, reads the orders, and takes over a reload. A reload with the
-same structure (other limits, other coefficients) only copies numbers. Another structure is another compiled step: a
-thread of lower priority compiles it while the loop goes on.
+Between two cycles (`AfterCycle`) it publishes the row, reads the orders, and takes over a reload or another zero. A
+reload with the same structure (other limits, other coefficients) only copies numbers. Another structure is another
+compiled step: a thread of lower priority compiles it while the loop goes on.
 """
 
 import os
@@ -41,6 +41,7 @@ from rtec.loop.run_file import Setup
 from rtec.loop.state import Saved, StateWriter, is_damaged, newest, state_text, structure_of, units_of
 from rtec.loop.state_files import StatePlaces, disk_is_damaged, read_disk, state_memory
 from rtec.loop.step import Step, StepSettings
+from rtec.loop.zero import Home, Zero
 
 NOTES_PER_S: Final = 10
 
@@ -99,7 +100,12 @@ class AfterCycle:
     def _reload(self, row: Row, generation: int) -> None:
         self._reloads = generation
         content = self._pipe.recv()  # the supervisor sent it before the order, so this does not wait
-        if isinstance(content, StepSettings):
+        if isinstance(content, Home):
+            if self._loop.home(content):
+                self._taken(row, generation)
+            else:
+                self._ring.reloads = -generation
+        elif isinstance(content, StepSettings):
             self._making = _Making(content, self._ring, generation)
         else:
             self._loop.step.take_numbers(*content)
@@ -115,7 +121,7 @@ class AfterCycle:
         elif making.step is not None and keeper is not None:
             making.step.adopt(old, row.samples)
             _let_go(self._loop.go_on_with(making.step, making.rows))
-            writer = StateWriter(self._image, making.step, keeper.start_mode, keeper.sequence)
+            writer = StateWriter(self._image, making.step, keeper.start_mode, keeper.sequence, keeper.zero)
             writer.order, writer.waits = keeper.order, keeper.waits
             self._loop.keeper = writer
             self._taken(row, making.generation)
@@ -231,18 +237,19 @@ def _run(task: LoopTask, pipe: Connection) -> dict[str, Any]:
         rows = bind_rows(step, ring.slots)
         here = make_devices(setup, clock)  # all of them, so that all faults of the run file are reported together
         ports = open_ports(setup, {**here, **worker_ports(task.workers, setup.machine, clock)}, stack)
-        at_start = _at_start(task.places, image, setup, ports, step, clock)
+        zero = Zero(ports.counts, step.layout.axes, by_order=setup.file.run.zero == "ordered")
+        at_start = _at_start(task.places, image, setup, ports, step, clock, zero)
         start = recover(step, at_start)
-        loop = Loop(step, ports, clock, setup.period_ns, rows, start.mode)
+        loop = Loop(step, ports, clock, setup.period_ns, rows, start.mode, zero)
         if start.waits:
             loop.wait_for_order(start.waits)
         if at_start.output is None:
             loop.take_over(start.expected, allowed(step, DISK_SLACK_S))
         warnings = _rehearse(setup, ports, at_start.output)
         ring.orders.mode = start.mode
-        loop.keeper = StateWriter(image, step, MODES_BY_NAME[setup.file.run.mode], start.sequence)
+        loop.keeper = StateWriter(image, step, MODES_BY_NAME[setup.file.run.mode], start.sequence, zero)
         after_cycle = AfterCycle(loop, ring, pipe, image, setup.file.run.rate_hz)
-        told_all = {**_ready(step, start, warnings), "forgets": at_start.one_way or at_start.inserts}
+        told_all = {**_ready(step, start, warnings), "forgets": at_start.one_way or at_start.inserts or zero.by_order}
         _tell(pipe, "ready", told_all)
         try:
             loop.run(task.cycles, after_cycle)
@@ -253,9 +260,9 @@ def _run(task: LoopTask, pipe: Connection) -> dict[str, Any]:
 
 
 def _at_start(
-    places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step, clock: Clock
+    places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step, clock: Clock, zero: Zero
 ) -> AtStart:
-    """Kept state, ledger and counts at the start."""
+    """Kept state, ledger and counts at the start; the zero goes on."""
     in_memory = image.tobytes()
     saved: Saved | None = newest(in_memory)
     new_boot, slack_s, damaged = False, 2.0 / setup.file.run.rate_hz, [places.memory] if is_damaged(in_memory) else []
@@ -264,14 +271,17 @@ def _at_start(
         damaged += [places.disk] if saved is None and disk_is_damaged(places.disk) else []
     axes = len(step.layout.axes)
     output, counts = np.zeros(axes, np.int64), np.zeros(axes, np.int64)
-    if saved is not None and saved.units == units_of(step) and isinstance(ports.actuator, OneWay):
-        ports.actuator.was_told(saved.output)
+    if saved is not None and saved.units == units_of(step):
+        zero.go_on(saved.zero, saved.supply, saved.homed)
+        if isinstance(ports.actuator, OneWay):
+            ports.actuator.was_told(saved.output)
+    there = first_counts(ports, counts, clock, FIRST_COUNTS_S if saved is not None else 0.0)
     return AtStart(
         saved=saved,
         new_boot=new_boot,
         slack_s=slack_s,
         output=output if _reports_output(ports, output) else None,
-        counts=counts if first_counts(ports, counts, clock, FIRST_COUNTS_S if saved is not None else 0.0) else None,
+        counts=counts + zero.offset if there else None,
         start_mode=MODES_BY_NAME[setup.file.run.mode],
         damaged=_damaged(damaged),
         one_way=isinstance(ports.actuator, OneWay),

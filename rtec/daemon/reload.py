@@ -32,11 +32,13 @@ from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import IMAGE_BYTES, Saved, StateWriter, structure_of
 from rtec.loop.state_files import MemoryState
 from rtec.loop.step import Step
+from rtec.loop.zero import Home
 
 MOST_BYTES = 65_536
 """Bytes that fit into the pipe while the loop is not reading yet."""
 _ORDERS = {"on": "enable", "hold": "hold", "off": "fade"}
 STAYS = "the old one stays in force"
+NO_COUNTS: Final = "not homed: the counts of the axes cannot be read; `rtec status` says why"
 STEP_SHARE: Final = 0.2
 """Share of an axis' `warning_um`; a reload that moves the correction by more needs confirmation."""
 CLIMATES: Final = 16
@@ -59,6 +61,21 @@ class Now:
 
     samples: Samples
     saved: Saved | None
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change on its way to the loop.
+
+    Attributes:
+        setup: the setup in force after it.
+        done: the change in words.
+        homes: is it another zero of the axes?
+    """
+
+    setup: Setup
+    done: str
+    homes: bool = False
 
 
 @dataclass(frozen=True)
@@ -293,7 +310,7 @@ Note = Callable[[Ring, str, str, str], None]
 
 
 class ReloadDesk:
-    """One reload at a time.
+    """One change of the running loop at a time: a reload, or another zero of the axes.
 
     Args:
         setup: the setup in force.
@@ -310,12 +327,12 @@ class ReloadDesk:
         self.setup, self.text = setup, ""
         self._memory, self._note = memory, note
         self._reader, self._generation = ReloadReader(setup, part), 0
-        self._coming: Reloaded | None = None
+        self._coming: Change | None = None
 
     @property
     def busy(self) -> bool:
         """Is an order unfinished?"""
-        return self._reader.busy
+        return self._reader.busy or self._coming is not None
 
     def begin(self, samples: Samples | None = None, text: str = "") -> None:
         """Start reading.
@@ -338,29 +355,44 @@ class ReloadDesk:
         elif outcome is not None and not outcome.changed:
             self._done(ring, "reloaded: nothing changed", "reloaded")
         elif outcome is not None:
-            self._coming = outcome
-            self._generation += 1
-            with suppress(BrokenPipeError, ConnectionResetError):  # the loop died; its end is reported elsewhere
-                pipe.send_bytes(outcome.message)
-            ring.orders.reloads = self._generation
+            done = f"reloaded: {', '.join(outcome.changed)}"
+            self._send(ring, pipe, outcome.message, Change(outcome.setup, done))
+
+    def home(self, ring: Ring, pipe: Connection, home: Home, text: str) -> None:
+        """Send another zero of the axes to the loop; `text` is the event when it has it."""
+        self._send(ring, pipe, _bytes(home), Change(self.setup, text, homes=True))
+
+    def _send(self, ring: Ring, pipe: Connection, message: bytes, change: Change) -> None:
+        self._coming = change
+        self._generation += 1
+        with suppress(BrokenPipeError, ConnectionResetError):  # the loop died; its end is reported elsewhere
+            pipe.send_bytes(message)
+        ring.orders.reloads = self._generation
 
     def look(self, ring: Ring, disk: DiskThread) -> None:
-        """When the loop has taken a reload over, put it in force; begin a new file of the log after that row.
+        """When the loop has taken a change over, put it in force; begin a new file of the log after that row.
 
         Called after rows are taken from the ring and before they are passed on: the loop reports before it publishes
         the row.
         """
-        if self._coming is None or abs(ring.reloads) != self._generation:
+        change = self._coming
+        if change is None or abs(ring.reloads) != self._generation:
             return
-        if ring.reloads < 0:
+        self._coming = None
+        if ring.reloads > 0:
+            self.setup = change.setup
+            if (saved := self._memory.snapshot()) is not None:
+                disk.cut(Begin.behind(saved))
+        if change.homes and ring.reloads > 0:
+            self._note(ring, "homed", change.done, "rtec")
+        elif change.homes:
+            self._note(ring, "not homed", NO_COUNTS, "rtec")
+        elif ring.reloads > 0:
+            self._done(ring, change.done, "reloaded")
+        else:
             self._done(ring, f"not reloaded: the loop could not take it; {STAYS}", "not reloaded")
-            return
-        self.setup = self._coming.setup
-        if (saved := self._memory.snapshot()) is not None:
-            disk.cut(Begin.behind(saved))
-        self._done(ring, f"reloaded: {', '.join(self._coming.changed)}", "reloaded")
 
     def _done(self, ring: Ring, text: str, what: str) -> None:
-        self._coming, self.text = None, text
+        self.text = text
         self._reader.done()
         self._note(ring, what, text, "rtec")

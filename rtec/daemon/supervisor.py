@@ -20,6 +20,7 @@ from rtec.daemon.causes import causes
 from rtec.daemon.claim import Claim
 from rtec.daemon.disk import MOST_SECONDS, DiskThread, Keeper, log_folder, new_log
 from rtec.daemon.fastpath import LoopTask, fast_path
+from rtec.daemon.homing import Homing
 from rtec.daemon.process import Notifier, child_context, signals, signals_wait
 from rtec.daemon.reload import ReloadDesk
 from rtec.daemon.ring import Ring
@@ -36,6 +37,7 @@ from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state_files import DiskState, MemoryState, state_places
+from rtec.loop.zero import Home
 
 __all__ = ["Report", "Status", "Supervisor"]
 
@@ -98,12 +100,12 @@ class Supervisor:
         self.parts = DaemonParts(self._clock, self.note)
         self._tables = TableKeeper(setup, self.note) if setup.file.table else None
         self._alarms, self._warnings_told = Alarms(self.note), 0
-        folder = setup.file.run.state_folder or setup.file.run.log_folder
-        self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
+        self._places = state_places(setup.path, setup.state_folder)
         self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
         self._memory, disk = MemoryState(self._places.memory), self._places.disk
         self._disk_state, self._claim = None if disk is None else DiskState(disk), Claim(setup)
         self._reload = ReloadDesk(setup, self._memory, self._note, self.parts.add("reload"))
+        self._homing = Homing(setup, self._memory.newest)
         self._step_orders = StepOrders(setup, self._clock)
         self._interrupted, self._ended, self._ends_at_once = False, False, False
         self._disk: DiskThread | None = None
@@ -137,7 +139,7 @@ class Supervisor:
 
         Args:
             order: the order.
-            text: text of the order's event; a mark needs one.
+            text: text of the order's event; a mark needs one, and HOME the positions, as "X=0 Z=120.5".
             who: the user who gives it.
 
         Raises:
@@ -146,8 +148,10 @@ class Supervisor:
         text = text[:LONGEST_TEXT]
         if order is Order.MARK and not text.strip():
             raise OrderRefused("a mark needs a text")
-        if order is Order.RELOAD and self._reload.busy:
-            raise OrderRefused("an earlier order to reload is not done with yet; wait for it")
+        if order in (Order.RELOAD, Order.HOME) and (self._reload.busy or self._homing.busy):
+            raise OrderRefused("an earlier order to reload or to home is not done with yet; wait for it")
+        if order is Order.HOME:
+            self._homing.check(text)
         self._orders.put((order, text, who))
         return f"{order} ordered"
 
@@ -257,6 +261,7 @@ class Supervisor:
                 ring.stop_requested = 1
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
+            self._home(ring, pipe)
             self._tell_what_is_wrong(now)
             self._hold_without(self.parts.lost)
             if now >= self._flush_ns:
@@ -287,7 +292,17 @@ class Supervisor:
                 ring.orders.resumes += 1
             elif order is Order.RELOAD:
                 self._reload.begin(self._watch.newest, text)
+            elif order is Order.HOME:
+                self._homing.begin(text)
             self._note(ring, str(order), text, who)
+
+    def _home(self, ring: Ring, pipe: Connection) -> None:
+        newest = self._watch.newest
+        found = None if newest is None else self._homing.look(newest)
+        if isinstance(found, Home):
+            self._reload.home(ring, pipe, found, self._homing.text(newest))
+        elif found is not None:
+            self._note(ring, "not homed", f"not homed: {found}", "rtec")
 
     def _note(self, ring: Ring, what: str, text: str, who: str) -> None:
         self._keep(Event(ring.tail - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, who))

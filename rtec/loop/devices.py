@@ -12,7 +12,16 @@ from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import find
-from rtec.loop.ports import Actuator, CountSource, Device, NoActuator, Resumable, SpindleSource, TemperatureSource
+from rtec.loop.ports import (
+    Actuator,
+    CountSource,
+    Device,
+    Incremental,
+    NoActuator,
+    Resumable,
+    SpindleSource,
+    TemperatureSource,
+)
 from rtec.machine import Machine
 from rtec.tomlfile import validated
 
@@ -74,6 +83,12 @@ def make_devices(setup: "Setup", clock: Clock) -> dict[str, Device]:
     faults += _role_faults(out, setup.file.role, str(setup.path))
     faults += _sink_faults(out, setup)
     faults += _sensor_faults(setup)
+    counts = out.get(setup.file.role.counts)
+    if setup.file.run.zero == "ordered" and counts is not None and not isinstance(counts, Incremental):
+        faults.append(
+            f'{setup.path}: [run] zero = "ordered": [device.{setup.file.role.counts}] has a zero of its own, or does '
+            "not tell when it was without supply; reference it there"
+        )
     if faults:
         raise ConfigError("\n".join(faults))
     return out

@@ -2,7 +2,7 @@
 
 `rtec.loop.believed` decides whether a temperature is believed, `rtec.loop.output` whether a command may be sent. An
 order to resume (`Loop.order_resume`) goes to every device that takes one; the loop then takes over the actuator's
-ledger before it commands anything.
+ledger before it commands anything. Where the positions of the axes are not known (`rtec.loop.zero`) it holds.
 
 The loop keeps the state (`rtec.loop.state`) before it sends the command: the kept state is never behind the actuator.
 
@@ -26,6 +26,7 @@ from rtec.loop.records import NEVER_NS, Commands, Samples
 from rtec.loop.state import StateWriter
 from rtec.loop.stats import LoopStats, Trouble
 from rtec.loop.step import Step
+from rtec.loop.zero import Home, Zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +55,19 @@ class Loop:
         mode: MODE_ON, MODE_OFF or MODE_HOLD; read every cycle.
         stats: counts, times and failures so far.
         keeper: keeps the state of every cycle; None: no state is kept.
+        zero: zero of the axes.
     """
 
-    def __init__(self, step: Step, ports: Ports, clock: Clock, period_ns: int, rows: list[Row], mode: int) -> None:
+    def __init__(
+        self,
+        step: Step,
+        ports: Ports,
+        clock: Clock,
+        period_ns: int,
+        rows: list[Row],
+        mode: int,
+        zero: Zero | None = None,
+    ) -> None:
         self.step, self.mode = step, mode
         self.stats = LoopStats.empty()
         self.keeper: StateWriter | None = None
@@ -74,6 +85,10 @@ class Loop:
         self.stats.troubles.append(self._waiting)
         layout = step.layout
         self._gate = CommandGate(ports.actuator, len(layout.axes), output_trouble, self._waiting, period_ns)
+        self.zero = Zero(ports.counts, layout.axes, by_order=False) if zero is None else zero
+        self._not_homed = self._trouble("zero")
+        self._tell_zero()
+        self._device_counts = np.zeros(len(layout.axes), dtype=np.int64)
         self._counts = np.zeros(len(layout.axes), dtype=np.int64)
         self._degc = np.full(len(layout.sensors), np.nan)
         self._degc_time_ns = np.zeros(len(layout.sensors), dtype=np.int64)
@@ -110,7 +125,21 @@ class Loop:
         for source, _ in self._temperatures:
             source.resume()
         self._waiting.now = False
+        self.zero.resume()
         self.take_over(None)
+
+    def home(self, home: Home) -> bool:
+        """Take over where the axes stand; False: their counts are not known. Call it between cycles.
+
+        The correction goes to its new value at its slew limit. The directions of these axes are unknown again.
+        """
+        if self._counts_trouble.now:
+            return False
+        self.zero.home(home, self._device_counts)
+        self._tell_zero()
+        np.add(self._device_counts, self.zero.offset, self._counts)
+        self.step.forget_directions(home.axes, self._counts)
+        return True
 
     def take_over(self, expected: IntArray | None, allowed: IntArray | None = None) -> None:
         """Hold and command nothing until the actuator reports its ledger; see `CommandGate.take_over`."""
@@ -134,7 +163,7 @@ class Loop:
         now_ns = clock.now_ns()
         self._read()
         samples = row.samples
-        mode = self._gate.look(self.step, MODE_HOLD if self._waiting.now else self.mode, now_ns)
+        mode = self._gate.look(self.step, MODE_HOLD if self._waiting.now or self._not_homed.now else self.mode, now_ns)
         taken_over = mode & ORDER_MASK == MODE_TAKEN_OVER
         samples.time_ns[0], samples.mode[0] = now_ns, mode
         samples.counts_time_ns[0] = self._counts_time_ns
@@ -162,8 +191,13 @@ class Loop:
         """Read every source; a source that fails keeps its old value and time, and the guard judges the age."""
         ports = self._ports
         try:
-            self._counts_time_ns = ports.counts.read_counts(self._counts)
+            self._counts_time_ns = ports.counts.read_counts(self._device_counts)
             self._counts_trouble.now = False
+            if why := self.zero.lost():
+                self._waiting.failed(why)
+            if self._not_homed.now is self.zero.known:
+                self._tell_zero()
+            np.add(self._device_counts, self.zero.offset, self._counts)
         except DriverError as e:
             self._counts_trouble.failed(str(e))
         for source, trouble in self._temperatures:
@@ -180,7 +214,12 @@ class Loop:
                 self._spindle_rpm = float("nan")
                 self._spindle_trouble.failed(str(e))
 
+    def _tell_zero(self) -> None:
+        self._not_homed.now = False
+        if self.zero.why:
+            self._not_homed.failed(self.zero.why)
+
     def _trouble(self, does: str, k: int = 0) -> Trouble:
-        made = Trouble(self._ports.name(does, k), does)
+        made = Trouble(self._ports.name("counts" if does == "zero" else does, k), does)
         self.stats.troubles.append(made)
         return made

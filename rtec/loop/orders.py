@@ -3,7 +3,7 @@
 An operator, a control socket or a signal calls `Supervisor.order`. The supervisor writes these words; the loop reads
 them once a cycle, between two cycles. A mode is a level: the last one counts. Orders to resume and to reload are
 counted, so that each is carried out once, however often the loop reads the word, and none is lost while the supervisor
-is stopped.
+is stopped. An order to home goes to the loop as a reload does.
 """
 
 from enum import StrEnum
@@ -27,6 +27,8 @@ class Order(StrEnum):
     """The correction returns to zero at its slew limit."""
     RESUME = "resume"
     """Devices that stopped by themselves (a box that restarted, a lost position) go on from their present state."""
+    HOME = "home"
+    """The axes are at these positions, after the device of the counts was without supply."""
     RELOAD = "reload"
     """Run file and model are read again; limits and model change without a jump of the correction."""
     MARK = "mark"
@@ -60,7 +62,7 @@ class OrderWords:
     """The orders in shared memory. One writer (the supervisor), one reader (the loop); a single word is never torn.
 
     Args:
-        words: three int64: the mode, the number of orders to resume, the number of orders to reload.
+        words: three int64: the mode, the number of orders to resume, the number of changes: reloads and new zeros.
     """
 
     def __init__(self, words: NDArray[np.int64]) -> None:
@@ -86,7 +88,7 @@ class OrderWords:
 
     @property
     def reloads(self) -> int:
-        """Generation of the set-up to load; its content came through the pipe before."""
+        """Number of the change to take over; its content came through the pipe before."""
         return int(self._words[2])
 
     @reloads.setter

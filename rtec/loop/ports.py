@@ -54,6 +54,16 @@ class CountSource(Protocol):
 
 
 @runtime_checkable
+class Incremental(Protocol):
+    """A count source that counts from where the axes stand when it gets its supply, and that tells its starts."""
+
+    @property
+    def supply(self) -> int:
+        """Number of its start: differs after every start; -1 where it is not known yet. Reads memory only."""
+        ...
+
+
+@runtime_checkable
 class TemperatureSource(Protocol):
     """Reads temperature sensors."""
 

@@ -93,6 +93,8 @@ class RunTable(Strict):
         model: path of the model file. Without one nothing is corrected: `mode` is then "hold" or "off".
         rate_hz: cycles per second.
         mode: "on", "off" or "hold" at the start.
+        zero: "counts": count 0 of the device is position 0 of the machine; "ordered", for incremental encoders: the
+            correction holds until `rtec ctl home` gives the positions, once each time the device got its supply.
         log_folder: every run writes a log there; not given: no log.
         state_folder: folder for ledger and mode, which survive a power cut there; not given: the log_folder.
         flush_s: a power cut loses at most this much of the log.
@@ -102,6 +104,7 @@ class RunTable(Strict):
     model: Path | None = None
     rate_hz: Annotated[float, Field(ge=1, le=4000)] = 1000.0
     mode: Literal["on", "off", "hold"] = "on"
+    zero: Literal["counts", "ordered"] = "counts"
     log_folder: Path | None = None
     state_folder: Path | None = None
     flush_s: Annotated[float, Field(ge=1e-3, le=1)] = 0.5
@@ -266,6 +269,12 @@ class Setup:
         """Whether counts of an axis are inserted."""
         sinks = [self.file.output.get(a.name, PulseSink()) for a in self.machine.axes if a.compensate]
         return any(isinstance(s, PulseSink) for s in sinks)
+
+    @property
+    def state_folder(self) -> Path | None:
+        """Folder of the state's copy on disk; None: none is named."""
+        folder = self.file.run.state_folder or self.file.run.log_folder
+        return None if folder is None else (self.base / folder).resolve()
 
     def step_settings(self) -> StepSettings:
         """Settings of the step."""

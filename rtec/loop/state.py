@@ -1,9 +1,9 @@
 """The loop's kept state: an image of three slots. One of them is whole at every instant, even within a write.
 
 Slots 0 and 1 are written in turns, slot 2 at a new beginning (a reload). Each slot is a row of 64-bit words: header,
-ledger, counts, the step's memory, and a CRC-32 of all that. The CRC of a slot that was not written to its end does not
-match; the other slot then still holds the cycle before. The loop writes a slot every cycle *before* the command goes
-out: after a kill, the ledger is the actuator's last command, or the one that was about to go out.
+ledger, counts, zero, the step's memory, and a CRC-32 of all that. The CRC of a slot that was not written to its
+end does not match; the other slot then still holds the cycle before. The loop writes a slot every cycle *before* the
+command goes out: after a kill, the ledger is the actuator's last command, or the one that was about to go out.
 """
 
 import hashlib
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import ModelError
 from rtec.loop.records import Samples, StepState
+from rtec.loop.zero import UNKNOWN, Zero
 
 if TYPE_CHECKING:
     from rtec.loop.step import Step
@@ -24,13 +25,14 @@ SLOT_BYTES: Final = 32_768
 SLOTS: Final = 3
 IMAGE_BYTES: Final = SLOTS * SLOT_BYTES
 SNAPSHOT: Final = 2
-_MAGIC: Final = int.from_bytes(b"rtecsta1", "little")
+_MAGIC: Final = int.from_bytes(b"rtecsta2", "little")
 _WORD: Final = 8
-_HEAD: Final = 18
+_HEAD: Final = 20
 (_AT_MAGIC, _AT_SEQUENCE, _AT_ROW, _AT_TIME, _AT_MODE, _AT_START_MODE, _AT_CLEAN, _AT_WAITS) = range(8)
 (_AT_AXES, _AT_INTS, _AT_FLOATS) = range(8, 11)
 _AT_STRUCTURE: Final = slice(11, 15)
 _AT_UNITS: Final = slice(15, 18)
+_AT_SUPPLY, _AT_HOMED = 18, 19
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,10 @@ class Saved:
         clean: did the run end in order?
         waits: did it wait for an order to resume?
         output: ledger, in the sink's units, by axis.
-        counts: raw counts, by axis.
+        counts: counts from the machine's zero, by axis.
+        zero: counts that were added to those of the device, by axis.
+        supply: number of the device's start; -1 where it is not known.
+        homed: had positions been ordered since that start?
         structure: of the step whose memory this is (`structure_of`).
         units: units of output and counts (`units_of`).
         state: the step's memory.
@@ -62,6 +67,9 @@ class Saved:
     waits: bool
     output: NDArray[np.int64]
     counts: NDArray[np.int64]
+    zero: NDArray[np.int64]
+    supply: int
+    homed: bool
     structure: bytes
     units: bytes
     state: StepState
@@ -97,21 +105,25 @@ class StateWriter:
         step: the step whose memory is kept.
         start_mode: the mode of the run file.
         sequence: that of an earlier writer of this image.
+        zero: zero of the axes; None: the counts of the device are the machine's.
 
     Raises:
         ModelError: the step's memory does not fit.
     """
 
-    def __init__(self, image: NDArray[np.uint8], step: "Step", start_mode: int, sequence: int = 0) -> None:
+    def __init__(
+        self, image: NDArray[np.uint8], step: "Step", start_mode: int, sequence: int = 0, zero: Zero | None = None
+    ) -> None:
         self.sequence, self.start_mode, self.order, self.waits = sequence, start_mode, start_mode, False
-        axes, state = len(step.layout.axes), step.state
-        words = _HEAD + 2 * axes + state.ints.size + state.floats.size
+        self.zero, axes, state = zero, len(step.layout.axes), step.state
+        words = _HEAD + 3 * axes + state.ints.size + state.floats.size
         if (words + 1) * _WORD > SLOT_BYTES:
             raise ModelError(f"the step needs {words} words of memory; at most {SLOT_BYTES // _WORD - 1} can be kept")
         self._state = state
         self._slots = [_Slot(image, k, axes, state.ints.size, state.floats.size) for k in range(SLOTS)]
         self._head = head = np.zeros(_HEAD, np.int64)
         head[_AT_MAGIC], head[_AT_START_MODE] = _MAGIC, start_mode
+        head[_AT_SUPPLY] = UNKNOWN
         head[_AT_AXES], head[_AT_INTS], head[_AT_FLOATS] = axes, state.ints.size, state.floats.size
         head[_AT_STRUCTURE] = np.frombuffer(structure_of(step), np.int64)
         head[_AT_UNITS] = np.frombuffer(units_of(step), np.int64)
@@ -135,6 +147,9 @@ class StateWriter:
         head[_AT_SEQUENCE], head[_AT_ROW] = self.sequence, row
         head[_AT_TIME], head[_AT_MODE] = samples.time_ns[0], self.order
         head[_AT_CLEAN], head[_AT_WAITS] = clean, self.waits
+        if self.zero is not None:
+            head[_AT_SUPPLY], head[_AT_HOMED] = self.zero.supply, self.zero.by_order and self.zero.known
+            slot.zero[:] = self.zero.offset
         slot.head[:] = head
         slot.output[:] = output
         slot.counts[:] = samples.counts[0]
@@ -147,10 +162,10 @@ class _Slot:
     """Views of one slot of an image; making them changes nothing in the image."""
 
     def __init__(self, image: NDArray[np.uint8], k: int, axes: int, ints: int, floats: int) -> None:
-        sizes = (_HEAD, axes, axes, ints, floats)
+        sizes = (_HEAD, axes, axes, axes, ints, floats)
         used = sum(sizes)
         words = image[k * SLOT_BYTES : k * SLOT_BYTES + (used + 1) * _WORD].view(np.int64)
-        self.head, self.output, self.counts, self.ints, rest = np.split(words[:used], np.cumsum(sizes)[:-1])
+        self.head, self.output, self.counts, self.zero, self.ints, rest = np.split(words[:used], np.cumsum(sizes)[:-1])
         self.floats = rest.view(np.float64)
         self.crc = words[used:]
         self.body = memoryview(words[:used]).cast("B")  # type: ignore[arg-type]
@@ -162,11 +177,11 @@ def read_slot(image: bytes, k: int) -> Saved | None:
     axes, ints, floats = (int(words[at]) for at in (_AT_AXES, _AT_INTS, _AT_FLOATS))
     if words[_AT_MAGIC] != _MAGIC or min(axes, ints, floats) < 0 or max(axes, ints, floats) >= words.size:
         return None
-    ends = np.cumsum([_HEAD, axes, axes, ints, floats])
+    ends = np.cumsum([_HEAD, axes, axes, axes, ints, floats])
     used = int(ends[-1])
     if used >= words.size or zlib.crc32(words[:used].tobytes()) != words[used]:
         return None
-    head, output, counts, its, rest = (part.copy() for part in np.split(words[:used], ends[:-1]))
+    head, output, counts, zero, its, rest = (part.copy() for part in np.split(words[:used], ends[:-1]))
     return Saved(
         sequence=int(head[_AT_SEQUENCE]),
         row=int(head[_AT_ROW]),
@@ -177,6 +192,9 @@ def read_slot(image: bytes, k: int) -> Saved | None:
         waits=bool(head[_AT_WAITS]),
         output=output,
         counts=counts,
+        zero=zero,
+        supply=int(head[_AT_SUPPLY]),
+        homed=bool(head[_AT_HOMED]),
         structure=head[_AT_STRUCTURE].tobytes(),
         units=head[_AT_UNITS].tobytes(),
         state=StepState(rest.view(np.float64), its),

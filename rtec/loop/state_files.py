@@ -273,6 +273,14 @@ def read_disk(path: Path) -> tuple[Saved | None, bool]:
     return newest(image), image[at : at + len(mark)] != mark
 
 
+def kept(places: StatePlaces) -> Saved | None:
+    """The state of a run that has ended, without a lock; None where there is none."""
+    memory = MemoryState(places.memory)
+    saved = memory.newest()
+    memory.close()
+    return read_disk(places.disk)[0] if saved is None and places.disk is not None else saved
+
+
 def disk_is_damaged(path: Path) -> bool:
     """Was a state kept on disk that cannot be read any more?"""
     return is_damaged(_bytes(path))

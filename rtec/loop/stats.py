@@ -45,7 +45,7 @@ class Trouble:
 
     Attributes:
         device: its name.
-        does: "counts", "temperatures", "spindle" or "output".
+        does: "counts", "zero", "temperatures", "spindle" or "output".
         now: did the last call fail?
         times: number of cycles in which it failed.
         reason: reason of the last failure.

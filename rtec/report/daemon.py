@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rtec.control.facts import axis_rows, footer, input_rows, state_word, troubles
+from rtec.control.facts import AXIS_COLUMNS, axis_rows, footer, input_rows, state_word, troubles
 from rtec.report.figures import Zoom, zoom_words
 from rtec.report.page import Figure, Section, Table
 
@@ -64,8 +64,7 @@ def daemon_sections(m: DaemonMoment, figures: bool = True, zooms: Mapping[str, Z
     wrong = troubles(found) + [f"why: {r}" for r in found["status"]["reasons"]]
     if wrong:
         out.append(Section("What is wrong", wrong))
-    head = ("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts")
-    out.append(Section("Correction of each axis", footer(found), Table(head, axis_rows(found)),
+    out.append(Section("Correction of each axis", footer(found), Table(AXIS_COLUMNS, axis_rows(found)),
                        _bars(m) if figures else None))  # fmt: skip
     if figures:
         out += [*_past("last 10 minutes", m.minutes, MINUTE_S, "minutes", zooms or {}),

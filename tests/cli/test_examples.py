@@ -34,6 +34,7 @@ NOT_RUN = {
     "ballbar": "its measurements: tests/ball_bar",
     "grid": "its measurements: tests/metrology",
     "replay configs/capture.toml": "a capture: tests/playback",
+    "ctl home": "incremental encoders: tests/hil/test_homing.py",
     "plan machine.toml circle": "planned circles: tests/diagnosis",
     "fit machine.toml drift.csv": "its measurement, of a spindle: tests/characterise",
     "bench": "makes ten campaigns, half a minute: tests/discovery",

@@ -50,7 +50,7 @@ def test_the_table_has_the_figures(desk: Desk, capsys: pytest.CaptureFixture[str
     lines = capsys.readouterr().out.splitlines()
     assert "mode on: the correction follows the model" in lines
     x = next(line.split() for line in lines if line.startswith(" X "))
-    assert x == ["X", "+1.50", "+1.25", "not", "known", "+2", "100"]
+    assert x == ["X", "0.0500", "+1.50", "+1.25", "not", "known", "+2"]
     bed = next(line.split() for line in lines if line.startswith(" T_bed"))
     assert bed == ["T_bed", "21.25", "°C", "0.5", "s"]
     assert any(line.split() == ["T_air", "not", "read"] for line in lines)

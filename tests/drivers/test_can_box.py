@@ -177,6 +177,7 @@ def test_a_box_that_started_anew_is_not_commanded_until_ordered(channel: str, bo
     with driver(channel, command_timeout_s=10.0) as device:
         command(device, 8, 9)
         assert until(lambda: _ledger(device) == (8, 9))
+        assert device.supply == (first := box.boot)
         box.restart()
         with pytest.raises(DriverFault, match=r"restarted .* ledger is zero again; the correction holds"):
             cycles(device, 50)
@@ -194,6 +195,7 @@ def test_a_box_that_started_anew_is_not_commanded_until_ordered(channel: str, bo
             device.apply(np.array([800, 9]))
         command(device, 1, 1)
         assert until(lambda: _ledger(device) == (1, 1))
+        assert device.supply == box.boot != first
 
 
 def _resumed(device: CanBoxDriver) -> bool:

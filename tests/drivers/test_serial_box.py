@@ -216,6 +216,7 @@ def test_a_box_that_starts_anew_is_not_commanded_until_ordered(bench: MemoryBenc
     bench.driver.resume()
     for _ in range(5):
         bench.cycle(12, 3)
+    assert bench.driver.supply == 1
     bench.box.reset()
     bench.plant.position = [0, 0]
     took = bench.box.commands
@@ -231,6 +232,7 @@ def test_a_box_that_starts_anew_is_not_commanded_until_ordered(bench: MemoryBenc
     faults_of(bench, 5, 2, 1)
     assert bench.plant.inserted == [2, 1]
     assert bench.counts.tolist() == [0, 0]
+    assert bench.driver.supply == 2  # an order to resume does not hide the other start
 
 
 def test_after_the_order_a_jump_is_refused(bench: MemoryBench) -> None:

@@ -16,14 +16,14 @@ from tests.support import setups
 
 
 def test_names_and_modes() -> None:
-    assert [str(o) for o in Order] == ["enable", "hold", "fade", "resume", "reload", "mark"]
+    assert [str(o) for o in Order] == ["enable", "hold", "fade", "resume", "home", "reload", "mark"]
     assert MODE_OF == {Order.ENABLE: MODE_ON, Order.HOLD: MODE_HOLD, Order.FADE: MODE_OFF}
     assert set(MODE_OF.values()) == set(MODES_BY_NAME.values())
     assert order_named("resume") is Order.RESUME
 
 
 def test_an_order_that_does_not_exist_names_those_that_do() -> None:
-    with pytest.raises(OrderRefused, match="no order 'stop'; there are enable, hold, fade, resume, reload, mark"):
+    with pytest.raises(OrderRefused, match="no order 'stop'; there are enable, hold, fade, resume, home, reload, mark"):
         order_named("stop")
     with pytest.raises(OrderRefused) as e:
         order_named("x" * 10_000)
@@ -93,7 +93,7 @@ def test_what_the_supervisor_refuses(tmp_path: Path) -> None:
     with pytest.raises(OrderRefused, match="a mark needs a text"):
         supervisor.order(Order.MARK, "  ")
     supervisor._reload._reader.busy = True
-    with pytest.raises(OrderRefused, match="an earlier order to reload is not done with yet"):
+    with pytest.raises(OrderRefused, match="an earlier order to reload or to home is not done with yet"):
         supervisor.order(Order.RELOAD)
 
 

@@ -26,7 +26,7 @@ def test_the_report_has_the_axes_the_inputs_and_the_past(status: dict[str, Any])
     assert daemon_lead(made).endswith(", 2026-01-02 03:04:05 UTC.")
     sections = daemon_sections(made)
     cells = {tuple(row) for s in sections if s.table is not None for row in s.table.rows}
-    assert ("X", "+1.50", "+1.25", "not known", "+2", "100") in cells
+    assert ("X", "0.0500", "+1.50", "+1.25", "not known", "+2") in cells
     assert ("T_bed", "21.25 °C", "0.5 s") in cells
     figures = [s.figure for s in sections if s.figure is not None]
     assert [f.name for f in figures] == ["axes.png", "minutes.png"]

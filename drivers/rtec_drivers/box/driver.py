@@ -217,6 +217,11 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self._leave()
 
     @property
+    def supply(self) -> int:
+        """Number of the box's start; -1 where it is not known."""
+        return self._ledger.boot
+
+    @property
     def must_resume(self) -> str:
         """Why it waits for an order to resume; "" where it does not."""
         return self._ledger.must_resume

@@ -323,6 +323,12 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         self._port.close()
 
     @property
+    def supply(self) -> int:
+        """Number of the box's start; -1 where it is not known."""
+        newest = self._session.newest
+        return -1 if newest is None else newest.boot
+
+    @property
     def must_resume(self) -> str:
         """Why it waits for an order to resume; "" where it does not."""
         return self._ledger.must_resume

@@ -130,8 +130,10 @@ def _buses(devices: Mapping[str, Mapping[str, Any]], source: str) -> dict[str, B
 
 
 def _absolute(tables: dict[str, Any], base: Path) -> dict[str, Any]:
-    """Make paths that start at the run file's folder absolute; the bench sets the log's folder."""
-    run = {k: v for k, v in tables["run"].items() if k != "log_folder"}
+    """Make paths that start at the run file's folder absolute. The bench sets the log's folder; its box counts from the
+    machine's zero.
+    """
+    run = {k: v for k, v in tables["run"].items() if k not in ("log_folder", "zero")}
     run |= {key: str(base / run[key]) for key in ("machine", "model") if key in run}
     hil = {k: str(base / v) if k in ("truth", "program_file") else v for k, v in tables["hil"].items()}
     device = {

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from nicegui import ui
 
-from rtec.control.facts import axis_rows, footer, input_rows, state_word, troubles, um_text
+from rtec.control.facts import AXIS_COLUMNS, axis_rows, footer, input_rows, state_word, troubles, um_text
 from rtec.errors import RtecError
 from rtec.studio.parts.controls import Area, Words, button, from_home, heading, table
 from rtec.studio.parts.session import TabSession
@@ -230,12 +230,7 @@ class _LivePage:
                         Words("p", line, "trouble")
             with ui.element("div").classes("card whole"):
                 Words("h2", "Axes")
-                table(
-                    Table(
-                        ("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts"),
-                        axis_rows(found),
-                    )
-                )
+                table(Table(AXIS_COLUMNS, axis_rows(found)))
                 for line in footer(found):
                     Words("p", line, "small")
             with ui.element("div").classes("card"):

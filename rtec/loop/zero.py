@@ -1,0 +1,145 @@
+"""The zero of the axes: what the loop adds to a device's counts, so that count 0 is position 0 of the machine.
+
+An incremental encoder counts from where the axis stood when its device got its supply. With `[run] zero = "ordered"` a
+person orders where the axes stand (`rtec ctl home X=0 Z=120`). That holds over all runs until the device loses its
+supply; without it the correction holds. With `[run] zero = "counts"` the device's count 0 is position 0: then the
+device got its supply at the machine's zero, or its encoders are absolute. Where it was without supply between two runs,
+the loop waits for the order to resume.
+
+Rows, logs and the kept state have the counts after the addition: a log replays without it.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.loop.orders import OrderRefused
+from rtec.loop.ports import HOLDS, CountSource, Incremental, IntArray
+from rtec.machine import Machine
+
+UNKNOWN: Final = -1
+"""Number of a device's start where it is not known."""
+
+
+class Zero:
+    """The zero of one run's axes.
+
+    Attributes:
+        offset: added to the device's counts, by axis.
+        supply: number of the start of the device that the offset belongs to; UNKNOWN before its first reading.
+        known: are the positions of the axes known?
+        by_order: does an order give them?
+        why: why they are not known; "" where they are.
+
+    Args:
+        source: the device.
+        axes: names of the axes.
+        by_order: `[run] zero` is "ordered".
+    """
+
+    def __init__(self, source: CountSource, axes: tuple[str, ...], by_order: bool) -> None:
+        self.offset: IntArray = np.zeros(len(axes), np.int64)
+        self.supply, self.by_order, self.known = UNKNOWN, by_order, not by_order
+        self._axes, self._source = axes, source if isinstance(source, Incremental) else None
+        self.why = "" if self.known else self._say("nobody has ordered them since it got its supply")
+
+    def go_on(self, offset: IntArray, supply: int, known: bool) -> None:
+        """Take over the zero of the run before."""
+        self.supply = supply
+        if self.by_order and known:
+            self.offset[:], self.known, self.why = offset, True, ""
+
+    def lost(self) -> str:
+        """After a reading: was the device without supply? Give why an order to resume is needed; "" where none is."""
+        source = self._source
+        if source is None or source.supply in (self.supply, UNKNOWN):
+            return ""
+        before, self.supply = self.supply, source.supply
+        if before == UNKNOWN:
+            return ""
+        starts = f"(start {self.supply}, before {before})"
+        if self.by_order:
+            self.offset[:], self.known = 0, False
+            self.why = self._say(f"it was without supply {starts}")
+            return ""
+        return (
+            f"it was without supply since the run before {starts}: its count 0 is where the axes stood then, and must "
+            f"be the machine's zero; {HOLDS}"
+        )
+
+    def resume(self) -> None:
+        """Accept the device as it is, where its count 0 is the machine's zero."""
+        if not self.by_order:
+            self.supply = UNKNOWN
+
+    def home(self, home: "Home", counts: IntArray) -> None:
+        """Take over an order; `counts` are the device's."""
+        self.offset[home.axes] = home.counts[home.axes] - counts[home.axes]
+        self.known, self.why = True, ""
+
+    def _say(self, why: str) -> str:
+        order = " ".join(f"{axis}=…" for axis in self._axes)
+        return (
+            f"the positions of the axes are not known, {why}; the correction holds until they are ordered: reference "
+            f"the axes, then `rtec ctl home {order}` (mm)"
+        )
+
+
+@dataclass(frozen=True)
+class Home:
+    """An order for the loop.
+
+    Attributes:
+        axes: whose position is ordered, (axes,).
+        counts: counts where they stand, (axes,).
+    """
+
+    axes: NDArray[np.bool_]
+    counts: IntArray
+
+
+def home_of(positions_mm: Mapping[str, float], machine: Machine) -> Home:
+    """The order for the loop, from positions by axis name."""
+    return Home(
+        np.array([a.name in positions_mm for a in machine.axes]),
+        np.array([round(positions_mm.get(a.name, 0.0) * a.counts_per_mm) for a in machine.axes], np.int64),
+    )
+
+
+def read_positions(text: str, machine: Machine) -> dict[str, float]:
+    """Read the text of an order to home, as "X=0 Z=120.5": positions, mm, by axis name.
+
+    Raises:
+        OrderRefused: the text is malformed, an axis is unknown or named twice, or a position is outside its travel.
+    """
+    out: dict[str, float] = {}
+    travel_mm = {a.name: a.travel_mm for a in machine.axes}
+    for part in text.split():
+        match = re.fullmatch(r"([^=]+)=([^=]+)", part)
+        position = _number(match[2]) if match else math.nan
+        if match is None or not math.isfinite(position):
+            raise OrderRefused(f"home: {part!r} is not AXIS=POSITION in mm, such as {machine.axis_names[0]}=0")
+        axis = match[1]
+        if axis not in travel_mm:
+            raise OrderRefused(f"home: the machine has no axis {axis!r}; its axes are {', '.join(machine.axis_names)}")
+        if axis in out:
+            raise OrderRefused(f"home: axis {axis} is named twice")
+        low, high = travel_mm[axis]
+        if not low <= position <= high:
+            raise OrderRefused(f"home: {axis} = {position:.10g} mm is outside its travel, {low:g} to {high:g} mm")
+        out[axis] = position
+    if not out:
+        raise OrderRefused(f"home: name where the axes stand: {' '.join(f'{a}=…' for a in machine.axis_names)} (mm)")
+    return out
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
