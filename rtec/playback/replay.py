@@ -34,12 +34,13 @@ BLOCK_ROWS = 65_536
 
 @dataclass
 class Difference:
-    """One field of one row that differs from the log."""
+    """One field of one row that differs from the log; `log` is the file in a folder, "" where there is one file."""
 
     row: int
     field: str
     logged: str
     replayed: str
+    log: str = ""
 
 
 @dataclass
@@ -233,7 +234,7 @@ def replay_logs(
         progress: called with the number of rows (of a folder: files) done, and of all.
 
     Returns:
-        for a folder the sum; rows are numbered over all files, notes name their file.
+        for a folder the sum; differences and notes name their file.
 
     Raises:
         LogError: the log cannot be read, the folder has none, or `out` was given for a folder.
@@ -257,8 +258,8 @@ def replay_logs(
 
 
 def _add(total: ReplayReport, one: ReplayReport, name: str) -> None:
-    moved: list[Difference] = [replace(d, row=d.row + total.rows) for d in one.differences]
-    total.differences = (total.differences + moved)[:MOST_DIFFERENCES]
+    named: list[Difference] = [replace(d, log=name) for d in one.differences]
+    total.differences = (total.differences + named)[:MOST_DIFFERENCES]
     total.rows += one.rows
     total.different += one.different
     total.unchecked += one.unchecked

@@ -32,9 +32,11 @@ def _log_lines(report: ReplayReport, checked: bool) -> list[str]:
     out = [f"note: {note}" for note in report.notes]
     if report.torn_bytes:
         out.append(f"note: the log ends torn; {report.torn_bytes} bytes after its last whole batch are skipped")
-    out += [f"row {d.row}: {d.field} was {d.logged}, is now {d.replayed}" for d in report.differences]
+    for d in report.differences:
+        where = f"{d.log}, row" if d.log else "row"
+        out.append(f"{where} {d.row}: {d.field} was {d.logged}, is now {d.replayed}")
     if report.different > len(report.differences):
-        out.append(MORE.format(report.different - len({d.row for d in report.differences})))
+        out.append(MORE.format(report.different - len({(d.log, d.row) for d in report.differences})))
     if checked:
         verdict = "all bit-identical" if not report.different else f"{report.different} differ"
         if report.rows > report.unchecked or not report.rows:

@@ -4,6 +4,7 @@ Oracle of each test: the box and the plant behind it, which share no code with t
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from tests.support.box_rig import MS, MemoryBench, in_memory, options
 from tests.support.conformance import MACHINE
 
 TIMEOUT_NS = 600_000
+SHORT = replace(MACHINE, axes=tuple(replace(a, travel_mm=(-8.0, 8.0)) for a in MACHINE.axes))
+"""A machine whose travel, 32 000 counts, fits into counters of 16 bits."""
 each_box = box_rig.each_box
 
 
@@ -361,7 +364,7 @@ def test_counts_faster_than_the_machine(bench: MemoryBench) -> None:
 @pytest.mark.parametrize("bits", [16, 24, 32])
 def test_counters_wrap(monkeypatch: pytest.MonkeyPatch, bits: int) -> None:
     """The axis goes from just below the wrap to above it and back. Oracle: the plant's own integers."""
-    with in_memory(monkeypatch, {"counter_bits": bits}) as bench:
+    with in_memory(monkeypatch, {"counter_bits": bits}, SHORT) as bench:
         edge = 1 << (bits - 1)
         bench.plant.position = [edge - 2000, -edge + 2000]
         bench.driver.resume()
@@ -373,7 +376,7 @@ def test_counters_wrap(monkeypatch: pytest.MonkeyPatch, bits: int) -> None:
 
 def test_a_counter_that_may_have_gone_round_unseen(monkeypatch: pytest.MonkeyPatch) -> None:
     """16 bits and 60 ms of silence at 800 counts/ms at most: nobody knows the position."""
-    with in_memory(monkeypatch, {"counter_bits": 16}) as bench:
+    with in_memory(monkeypatch, {"counter_bits": 16}, SHORT) as bench:
         bench.cycle(0, 0)
         bench.line.deaf = True
         faults_of(bench, 60)
@@ -400,6 +403,7 @@ def test_commands_that_do_not_arrive_are_told(bench: MemoryBench) -> None:
     [
         ({"box_serial": 7}, {"box_serial": 8}, "box number 7 answers, not 8"),
         ({"counter_bits": 20}, {}, "counters of 20 bits"),
+        ({"counter_bits": 16}, {}, "counters of 16 bits go round within the travel of X, Z; after a start nobody"),
     ],
 )
 def test_the_wrong_box(monkeypatch: pytest.MonkeyPatch, box: Any, more: Any, words: str) -> None:

@@ -19,7 +19,8 @@ from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.step import Step
 from rtec.playback import sigrok
 from rtec.playback.capture import replay_capture
-from rtec.playback.replay import replay_log
+from rtec.playback.replay import Replayed, replay_log, replay_logs
+from rtec.report.playback import replay_lines
 from tests.loop.test_loop import run
 from tests.support import setups
 from tests.support.real_data import real_file
@@ -101,6 +102,21 @@ def test_a_change_in_any_field_is_found(tmp_path: Path, field: str) -> None:
         writer.write(samples, commands)
     report = replay_log(made, log, check=True)
     assert [(d.row, d.field) for d in report.differences] == [(7, field)]
+
+
+def test_in_a_folder_a_difference_names_its_file_and_its_row_there(tmp_path: Path) -> None:
+    """Oracle: the second of two equal files was changed in row 7."""
+    made, folder = setups.setup(tmp_path), tmp_path / "logs"
+    folder.mkdir()
+    for name, more in (("mill-20260309T120000Z.arrows", 0), ("mill-20260309T120010Z.arrows", 1)):
+        samples, commands = taken_over(made, [0, 0])
+        commands.output[7] += more
+        with LogWriter(folder / name, loop_layout(made), made.log_header()) as writer:
+            writer.write(samples, commands)
+    report = replay_logs(made, folder)
+    assert [(d.log, d.row, d.field) for d in report.differences] == [("mill-20260309T120010Z.arrows", 7, "output")]
+    lines = replay_lines(Replayed(report, checked=True))
+    assert any(line.startswith("mill-20260309T120010Z.arrows, row 7: output was ") for line in lines)
 
 
 def test_rows_behind_a_gap_are_not_called_different(tmp_path: Path) -> None:

@@ -129,6 +129,11 @@ class BoxScanner:
         return {"axes": sorted(places, key=lambda name: int(places[name].split()[1])), **number}
 
 
+def _furthest_mm(low_mm: float, high_mm: float) -> float:
+    """Largest distance from zero, mm, where zero is the machine's, or any place of the axis."""
+    return max(high_mm - low_mm, abs(low_mm), abs(high_mm))
+
+
 IntArray = NDArray[np.int64]
 FIRST_WAIT_S = 0.1
 
@@ -178,6 +183,8 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self.options, self._machine, self._clock = options, machine, clock
         self._order = axis_order(options.axes, machine)
         limits = max_counts_per_s(options.max_speed_mm_s, machine)
+        axes = [machine.axes[i] for i in self._order]
+        self._travel_counts = {a.name: _furthest_mm(*a.travel_mm) * abs(a.counts_per_mm) for a in axes}
         self._limits = [limits[i] for i in self._order]
         self._finder = PortFinder(options, ports)
         self._reopener = Reopener(self._connect, _close, clock, options.first_retry_s, options.longest_retry_s)
@@ -308,7 +315,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         session = BoxSession(SerialLine(self.options, device), self._clock)
         try:
             session.greet(self.options.open_timeout_s)
-            session.check(self._box_serial, len(self._order))
+            session.check(self._box_serial, self._travel_counts)
         except DriverError:
             _close(session)
             raise

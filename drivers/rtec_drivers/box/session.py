@@ -1,6 +1,7 @@
 """One session with an encoder box over an open line: from the handshake until the line is lost."""
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -108,19 +109,28 @@ class BoxSession:
                     return info
         raise DriverTimeout(f"{self.line.device}: no encoder box answers within {timeout_s:g} s")
 
-    def check(self, box_serial: int | None, axes: int) -> None:
+    def check(self, box_serial: int | None, travel_counts: Mapping[str, float]) -> None:
         """Check that the box can be used.
 
+        Args:
+            box_serial: its number; None: any.
+            travel_counts: largest distance from zero that each axis can have, counts; a start takes counters as signed.
+
         Raises:
-            DriverFault: another number, another number of axes, or counters of an unknown width.
+            DriverFault: another number, another number of axes, or counters of an unknown or too small width.
         """
         info, place = self.info, self.line.device
         if box_serial is not None and info.box_serial != box_serial:
             raise DriverFault(f"{place}: box number {info.box_serial} answers, not {box_serial}")
-        if info.axes != axes:
-            raise DriverFault(f"{place}: the box has {info.axes} axes, the machine {axes}")
+        if info.axes != len(travel_counts):
+            raise DriverFault(f"{place}: the box has {info.axes} axes, the machine {len(travel_counts)}")
         if info.counter_bits not in (16, 24, 32):
             raise DriverFault(f"{place}: the box has counters of {info.counter_bits} bits; 16, 24 or 32 are known")
+        if narrow := [axis for axis, counts in travel_counts.items() if counts >= 2 ** (info.counter_bits - 1)]:
+            raise DriverFault(
+                f"{place}: counters of {info.counter_bits} bits go round within the travel of {', '.join(narrow)}; after "
+                "a start nobody would know where the axis is: take a box with wider counters"
+            )
 
     def exchange(self, timeout_s: float, newest: BoxAnswer | None = None) -> BoxAnswer:
         """Ask for the state and wait; give the newest answer, which may belong to an older question.
