@@ -126,10 +126,11 @@ class BoxSession:
             raise DriverFault(f"{place}: the box has {info.axes} axes, the machine {len(travel_counts)}")
         if info.counter_bits not in (16, 24, 32):
             raise DriverFault(f"{place}: the box has counters of {info.counter_bits} bits; 16, 24 or 32 are known")
-        if narrow := [axis for axis, counts in travel_counts.items() if counts >= 2 ** (info.counter_bits - 1)]:
+        most = 2 ** (info.counter_bits - 1)
+        if narrow := [axis for axis, counts in travel_counts.items() if counts >= most]:
             raise DriverFault(
-                f"{place}: counters of {info.counter_bits} bits go round within the travel of {', '.join(narrow)}; after "
-                "a start nobody would know where the axis is: take a box with wider counters"
+                f"{place}: counters of {info.counter_bits} bits go round within the travel of {', '.join(narrow)}; "
+                "after a start nobody would know where the axis is: take a box with wider counters"
             )
 
     def exchange(self, timeout_s: float, newest: BoxAnswer | None = None) -> BoxAnswer:
