@@ -10,11 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.extend.add import add
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.sim.campaign.truth import effect_from_text
+from tests.support import proof
 from tests.support.diagnosis_examples import NOISE_UM, laser, small_machine
+from tests.support.warming import warming
 
 Floats = NDArray[np.float64]
 
@@ -59,3 +63,32 @@ def test_what_is_written_beside_it_meets_another_day() -> None:
 @pytest.mark.parametrize("form", ["warms up", "rises", "swings"])
 def test_the_drift_alone_is_no_effect(form: str) -> None:
     assert not diagnose(Model(small_machine()), [drifting(laser([], 21), form)], draws=50).group
+
+
+@pytest.mark.parametrize(
+    ("seed", "k", "um", "tau_s", "step_degc"),
+    proof.few(
+        [(48, 4.0, 4.0, 1500.0, 0.0625), (374, 2.0, 4.0, 8000.0, 0.25), (207, 4.0, 4.0, 4000.0, 0.0625),
+         (117, 4.0, -8.0, 8000.0, 0.0625)], 2,
+    ),
+)  # fmt: skip
+def test_a_shift_beside_an_instrument_that_warms_up(
+    seed: int, k: float, um: float, tau_s: float, step_degc: float
+) -> None:
+    """Both together make a surface over two temperatures, or one and the time: it had been "not in the catalogue"."""
+    days = warming(seed, 10, grows=False)
+    quiet, m = days.other, days.given
+    empty = [
+        effect_from_text(text, m.machine)
+        for text in ("scale,component=EXX,axis=X,k=1", "backlash,component=EXX,axis=X,B=1")
+    ]
+    known = add(Model(m.machine), empty, [quiet]).model
+    moved = k * (m.channels["T_nut"] - m.channels["T_nut"][0])
+    moved += um * (1.0 - np.exp(-(m.time_s - m.time_s[0]) / tau_s))
+    channels = {c: np.round(v / step_degc) * step_degc if c.startswith("T_") else v for c, v in m.channels.items()}
+    d = diagnose(
+        known, [replace(m, readings={c: v + moved for c, v in m.readings.items()}, channels=channels)], draws=50
+    )
+    assert d.verdict == "missing_effect"
+    assert d.findings[0].accepted
+    assert d.findings[0].effect.label == "mount_expansion(EXX, T_nut)"

@@ -816,7 +816,10 @@ class Search:
         machine = self.model.machine
         shape = self._top_shape.shape.variables if self._top_shape is not None else ()
         followed, sensors = set(shape) - {c for a in machine.axes for c in a.moving_channels}, set(machine.sensor_names)
-        followed |= sensors if followed & sensors else set()
+        # A surface over two temperatures, or one and the time, is hardly a law: a thermal effect makes it, beside drift
+        # or an instrument that warms up.
+        drifts = bool(followed & sensors) and len(followed) > 1 and followed <= {*sensors, "time_s"}
+        followed = set() if drifts else followed | (sensors if followed & sensors else set())
 
         def plain(effect: Effect) -> bool:
             read = set(effect.channels(machine))
@@ -830,8 +833,10 @@ class Search:
         chain = self.refits.chain([first], bar, plain) if first is not None else []
         if not chain or chain[-1].drop < LITTLE or self._top_shape is None:
             return chain if chain and chain[-1].drop >= LITTLE else []
-        if chain[-1].drop <= MAIN and not self._simplify(chain, self._top_shape):
+        if chain[-1].drop <= MAIN and (drifts or not self._simplify(chain, self._top_shape)):
             return []
+        if drifts:
+            return chain
         # What reads anything beyond the shape must be as significant beside it: else it only follows the shape.
         places = {c for a in machine.axes for c in (a.channel, *a.moving_channels)}
         for t in chain:
