@@ -146,7 +146,7 @@ def differs(sink: Sink, actuator: str, unit_um: float) -> str:
     Counts have no unit; all other kinds must have the same unit, or the correction would have another size.
     """
     if sink.kind != actuator:
-        return f"takes {actuator!r} (its option actuator), not {sink.kind!r}"
+        return f'takes {actuator!r}, not {sink.kind!r}: write kind = "{actuator}" there'
     if sink.kind != "pulse" and not math.isclose(sink.unit_um, unit_um, rel_tol=1e-9):
         return f"has units of {unit_um:g} µm (its option unit_um), the output has {sink.unit_um:g} µm"
     return ""

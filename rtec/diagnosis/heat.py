@@ -188,6 +188,17 @@ def more_than_any_material(readings: Readings, effect: Effect, fit: Fit, place: 
     return Doubt("beyond_materials", message, _to_record(readings, readings.series[0]), fatal=True)
 
 
+def sensor_offset(readings: Readings, label: str, file: int, sensor: str, off_k: float) -> Doubt:
+    """Doubt that a sensor reads otherwise in one of several files; it decides what an effect of this name would."""
+    here, names = readings.measurements[file].name, listed([m.name for m in readings.measurements[:3]])
+    message = (
+        f"{label} is only what differs between {names}, and a reading of {sensor} that is {abs(off_k):.2f} K "
+        f"{'higher' if off_k < 0.0 else 'lower'} in {here} than the part is explains that as well."
+    )
+    step = f"Record both set-ups in one day, in turn, or check {sensor} against another thermometer."
+    return Doubt("sensor_offset", message, step, fatal=True)
+
+
 def own_warm_up(label: str) -> Doubt:
     """Doubt that the warm-up of an instrument itself gives the same curve as an effect of this name."""
     message = (

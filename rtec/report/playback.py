@@ -39,7 +39,7 @@ def _log_lines(report: ReplayReport, checked: bool) -> list[str]:
         out.append(MORE.format(report.different - len({(d.log, d.row) for d in report.differences})))
     if checked:
         verdict = "all bit-identical" if not report.different else f"{report.different} differ"
-        if report.rows > report.unchecked or not report.rows:
+        if report.rows > report.unchecked or not (report.rows or report.unread):
             out.append(f"{counted(report.rows - report.unchecked, 'command')} checked: {verdict}")
         if report.unchecked:
             out.append(f"{counted(report.unchecked, 'command')} not checkable: rows before were lost")

@@ -253,3 +253,17 @@ def test_a_component_names_the_axis_that_moves(
         facts = json.loads(capsys.readouterr().out)
         assert (facts["axis"], facts["corrects"], facts.get("second", "")) == axes
     assert (tmp_path / "short").read_text() == (tmp_path / "long").read_text()
+
+
+@pytest.mark.parametrize("pitch_mm", [5.0, 4.0, 2.5])
+@pytest.mark.parametrize("grid", [20.0, 50.0, 100.0, 200.0])
+def test_a_wave_of_which_the_grid_is_a_multiple_is_seen_between_the_points(grid: float, pitch_mm: float) -> None:
+    """Oracle: straight lines through its values at the points, at 20 000 places."""
+    wave = InterpolationError.model_validate({"component": "EXX", "axis": "X", "lambda_mm": pitch_mm})
+    model = with_effects(FittedEffect(wave, {"s": 0.0, "c": 3.0}))
+    table = table_of(model, X, X, grid_mm(grid), conditions(model, X, {}))
+    everywhere = np.linspace(*X.travel_mm, 20_001)
+    um = 3.0 * np.cos(2.0 * np.pi * everywhere / pitch_mm)
+    line = np.interp(everywhere, table.positions_mm, 3.0 * np.cos(2.0 * np.pi * table.positions_mm / pitch_mm))
+    found = {r.what.split()[0]: r.largest_um for r in residuals(model, table)}
+    assert found["between"] == pytest.approx(float(np.abs(um - line).max()), rel=0.03)

@@ -25,6 +25,7 @@ from rtec.model import Model
 from rtec.report.diagnosis import bars
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
+from tests.support.diagnosis_examples import effects, laser, small_machine
 from tests.support.machines import axis
 from tests.support.setups import CONFIGS
 
@@ -389,3 +390,37 @@ def test_a_probe_that_slips_is_named_with_its_instant() -> None:
     assert not jumps(
         replace(good, readings={**good.readings, "reading_y1_um": good.readings["reading_y1_um"] + spike}), model
     )
+
+
+OFFSET_TRUTH = (
+    "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11",
+    "axis_expansion_nonuniform,component=EXX,axis=X,sensor=T_bed,k=0.6",
+)
+
+
+def at_two_beams(effect: tuple[str, ...], seed: int, off_k: float) -> list[Measurement]:
+    """Two days, the second with the beam 150 mm higher and another offset of the sensor."""
+    low = laser([*OFFSET_TRUTH, *effect], seed)
+    high = laser([*OFFSET_TRUTH, *effect], seed + 50, setup={"beam_offset_mm": [0.0, 0.0, 150.0]})
+    return [low, replace(high, channels={**high.channels, "T_bed": high.channels["T_bed"] + off_k})]
+
+
+@pytest.mark.parametrize(("seed", "off_k"), proof.few([(1, 0.4), (1, -0.3), (2, -0.3), (4, -0.3)], 2))
+def test_an_angle_that_only_tells_two_days_apart_may_be_a_thermocouple(seed: int, off_k: float) -> None:
+    """The model has all the truth; an angle "was missing" with up to 99 %. Oracle: the offset that was put in."""
+    d = diagnose(Model(small_machine(), effects(*OFFSET_TRUTH)), at_two_beams((), seed, off_k), draws=50)
+    assert not [f.effect.label for f in d.findings if f.accepted]
+    assert [doubt.kind for doubt in d.doubts] == ["sensor_offset"]
+    said = re.search(r"T_bed that is ([\d.]+) K (higher|lower) in", d.doubts[0].message)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(abs(off_k), abs=0.3)
+    assert said[2] == ("higher" if off_k > 0.0 else "lower")
+
+
+@pytest.mark.parametrize(
+    "effect", ["guide_curvature,component=EBX,axis=X,k=300", "angular_reversal,component=EBX,axis=X,theta=5"]
+)
+def test_an_angle_that_no_thermocouple_explains_is_named(effect: str) -> None:
+    d = diagnose(Model(small_machine(), effects(*OFFSET_TRUTH)), at_two_beams((effect,), 1, 0.2), draws=50)
+    assert d.findings[0].accepted
+    assert d.findings[0].effect.effect == effect.split(",", maxsplit=1)[0]

@@ -2,6 +2,9 @@
 
 import json
 import re
+import signal
+import subprocess
+import sys
 from collections.abc import Sequence
 
 import pytest
@@ -59,6 +62,30 @@ def test_wake_ups_of_this_computer() -> None:
     assert found.n == 250
     assert 0 < found.p50_us <= found.p99_us <= found.p99_9_us <= found.max_us
     assert done[-1] == (5, 5)
+
+
+@pytest.mark.xdist_group("real-clock")
+def test_ctrl_c_ends_the_measurement_without_a_word() -> None:
+    """A terminal sends it to both processes; the other one says that it ended. Oracle: the standard error."""
+    orders = {
+        "realtime": Realtime(lock_memory=False, priority=0).model_dump(mode="json"),
+        "rate_hz": 100.0,
+        "seconds": 60.0,
+    }
+    with subprocess.Popen(
+        [sys.executable, "-m", "rtec.doctor.wakeup"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(json.dumps(orders).encode())
+        process.stdin.close()
+        assert process.stdout.readline() == b".\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stderr is not None
+        assert process.stderr.read() == b""
 
 
 @pytest.mark.xdist_group("real-clock")

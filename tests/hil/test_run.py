@@ -210,7 +210,7 @@ def test_a_dry_run_commands_nothing(tmp_path: Path) -> None:
         (lambda t: t["limits"]["X"].update(warning_um=200.0), "warning_um 200 is above stop_um 100"),
         (
             lambda t: t.update(output={"X": {"kind": "following_error", "resolution_um": 0.5}}),
-            "[output.X] [device.box] takes 'pulse' (its option actuator), not 'following_error'",
+            "[output.X] [device.box] takes 'pulse', not 'following_error': write kind = \"pulse\" there",
         ),
         (
             lambda t: (

@@ -421,6 +421,16 @@ def test_the_command_tells_what_it_did(tmp_path: Path, capsys: pytest.CaptureFix
     assert status([*arguments, "--force"]) == 0
 
 
+def test_what_is_imported_is_never_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its own name is the first one that comes to mind. Oracle: the bytes of the file."""
+    table = put(tmp_path, TABLE).rename(tmp_path / "dial.csv")
+    before = table.read_bytes()
+    words = ["import", str(table), "--map", str(a_map(tmp_path)), "-o", str(tmp_path / "dial"), "--force"]
+    assert status(words) == 2
+    assert "dial.csv: is imported here and must not be written over; give another name by -o" in capsys.readouterr().err
+    assert table.read_bytes() == before
+
+
 def test_the_command_checks_against_a_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = (
         TABLE.replace("t,x,e", "t,x,e,T").replace("\n", ",1372\n").replace("T,1372", "T").replace(",1372\n", ",20\n", 2)

@@ -741,3 +741,59 @@ def test_the_real_ecmc_file_decides_the_sign_of_its_own_deviation() -> None:
     )
     assert "sign" not in [q.key for q in p.questions]
     assert p.content["column"]["reading_um"] == {"from": "deviation"}
+
+
+def written(unit: str, name: str = "Error", clock: str = "Elapsed [s]", place: str = "Target [mm]") -> str:
+    """A table of six readings, 12 s apart, with a unit as some people write it."""
+    moments = (0, 12, 24, 36, 48, 60)
+    times = [f"{s // 60}:{s % 60:02d}" if clock == "Elapsed" else f"{s}" for s in moments]
+    lines = [f"{t},{50 * k},{1.5 * k + 2.0},20.{k}" for k, t in enumerate(times)]
+    return "\n".join([f"{clock},{place},{name} [{unit}],T_bed [°C]", *lines]) + "\n"
+
+
+AT_X = {"axis": "X", "instrument": "laser_linear"}
+
+
+@pytest.mark.parametrize(
+    ("unit", "um"),
+    [("µin", 0.0254), ("uin", 0.0254), ("microinch", 0.0254), ("Zoll", 25400.0), ("in.", 25400.0), ("µm", 1.0)],
+)
+def test_units_as_they_are_written(tmp_path: Path, unit: str, um: float) -> None:
+    """An unknown one had become µm. Oracle: the definition of the inch."""
+    done = import_table(tmp_path / "file.csv", proposed(tmp_path, written(unit), AT_X).import_map())
+    assert done.columns["reading_um"] == pytest.approx(um * (1.5 * np.arange(6) + 2.0))
+
+
+@pytest.mark.parametrize("unit", ["0.1 µm", "1/10 µm", "10 nm", "counts", "tenths", "ppm"])
+def test_a_unit_that_is_not_known_is_asked(tmp_path: Path, unit: str) -> None:
+    p = proposed(tmp_path, written(unit), AT_X)
+    question = next(q for q in p.questions if q.key == f"unit of Error [{unit}]")
+    assert question.default is None
+    assert f"{unit!r} is no unit that rtec knows." in question.text
+    with pytest.raises(MeasurementError, match="is no unit that rtec knows"):
+        p.import_map()
+
+
+def test_a_place_in_an_unknown_unit_is_asked(tmp_path: Path) -> None:
+    p = proposed(tmp_path, written("µm", place="Target [1/10 mm]"), AT_X)
+    assert any("'1/10 mm' is no unit that rtec knows" in q.text for q in p.questions)
+
+
+def test_elapsed_minutes_and_seconds(tmp_path: Path) -> None:
+    """0:12 is twelve seconds where the column says that it is a time since the begin; it had been twelve minutes."""
+    text = written("µm", clock="Elapsed")
+    done = import_table(tmp_path / "file.csv", proposed(tmp_path, text, AT_X).import_map())
+    assert done.columns["time_s"] == pytest.approx([0.0, 12.0, 24.0, 36.0, 48.0, 60.0])
+    clock = import_table(
+        tmp_path / "file.csv", proposed(tmp_path, text.replace("Elapsed", "Uhrzeit"), AT_X).import_map()
+    )
+    assert clock.columns["time_s"][1] == pytest.approx(720.0)
+
+
+@pytest.mark.parametrize("name", ["Korrektur", "Correction", "Comp value"])
+def test_the_sign_of_a_correction_is_asked(tmp_path: Path, name: str) -> None:
+    """What a control adds is the negative of the error; it had been taken for the error."""
+    p = proposed(tmp_path, written("µm", name=name), AT_X)
+    assert next(q.default for q in p.questions if q.key == "sign") is None
+    how = proposed(tmp_path, written("µm", name=name), {**AT_X, "sign": "-1"}).import_map()
+    assert import_table(tmp_path / "file.csv", how).columns["reading_um"][0] == pytest.approx(-2.0)

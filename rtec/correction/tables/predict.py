@@ -17,7 +17,7 @@ from rtec.tomlfile import nearest
 
 History = tuple[Floats, Mapping[str, Floats]]
 """Instants, s, rising, (m,), and slow channels at them, (m,) each, for effects that lag; the last instant is now."""
-PER_STEP = 10
+PER_STEP, LEAST = 10, 200
 """Positions in each step of a table at which the model is compared with it."""
 FEW, MANY = 21, 200
 """Values at which the model is searched over the range of a channel: one that sets a shape, one with a finer shape."""
@@ -310,11 +310,17 @@ def _steps(ratio: float) -> int:
 
 
 def _places(points_mm: Floats, axis: Axis, per_step: int) -> Floats:
-    """The points within the travel, or `per_step` places in each step between points."""
+    """The points within the travel, or about `per_step` places in each step between points, at least `LEAST`.
+
+    Each is elsewhere in its part of the step, by the golden ratio: an error that repeats with a pitch, of which the
+    step is a multiple, is seen in all its phases.
+    """
     low, high = max(points_mm[0], axis.travel_mm[0]), min(points_mm[-1], axis.travel_mm[1])
     if per_step == 1 or low >= high:
         return np.unique(np.clip(points_mm, low, high))
-    return np.linspace(low, high, per_step * (len(points_mm) - 1) + 1)
+    parts = np.arange(max(per_step * (len(points_mm) - 1), LEAST))
+    share = (parts + GOLDEN * parts % 1.0) / len(parts)
+    return np.concatenate([[low], low + (high - low) * share, [high]])
 
 
 def _to_travel(errors: Callable[[Floats], Floats], points_mm: Floats, axis: Axis) -> Floats:

@@ -193,6 +193,28 @@ class Edits:
             return None
         return left if np.isfinite(left).all() else None
 
+    def by_offsets(self, first: int) -> tuple[list[tuple[int, str]], Floats]:
+        """How the model's prediction changes where a sensor reads 1 K more in one of several files, (m, n).
+
+        Args:
+            first: number of the first file; 1 for differences from file 0.
+
+        Returns:
+            number of the file and sensor of each column, and the columns; none for a single file.
+        """
+        source = np.array([s.source for s in self.readings.series])[self.readings.series_of]
+        sensors = sorted(self.read & set(self.model.machine.sensor_names))
+        names, out = list[tuple[int, str]](), list[Floats]()
+        now = self.left({}) if len(self.readings.states) > 1 else None
+        for sensor in sensors if now is not None else ():
+            warmer = self.left({sensor: lambda s, c=sensor: s.channels[c] + 1.0})  # type: ignore[misc]
+            if now is None or warmer is None:
+                continue
+            for k in range(first, len(self.readings.states)):
+                names.append((k, sensor))
+                out.append(np.where(source == k, now - warmer, 0.0))
+        return names, np.stack(out, axis=1) if out else np.empty((len(self.readings), 0))
+
     def _part(self, fitted: FittedEffect, readings: Readings) -> Floats:
         with np.errstate(all="ignore"):
             columns = readings.columns(fitted.effect, fitted.theta)

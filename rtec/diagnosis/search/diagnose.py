@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
+from rtec.diagnosis.doubts.edits import Edits
 from rtec.diagnosis.doubts.record import doubts, few_runs, targets_apart
 from rtec.diagnosis.heat import (
     dead_sensor,
@@ -21,6 +22,7 @@ from rtec.diagnosis.heat import (
     only_between_files,
     only_time,
     own_warm_up,
+    sensor_offset,
     unrecorded_heat,
     warm_up_curves,
 )
@@ -71,7 +73,7 @@ from rtec.diagnosis.search.unnamed import (
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
-from rtec.estimation.gls import along_runs, held_out_gain
+from rtec.estimation.gls import along_runs, held_out_gain, solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
@@ -110,6 +112,10 @@ MOSTLY = 0.5
 """Two effects that help only together must remove at least this share of the held-out mean square."""
 SAME_ARM = 1e-6
 """Lever arms within this relative difference are one."""
+SEEN = 1e-3
+"""A column of which those of the model describe all but this share says nothing."""
+OFF_K = 0.5
+"""Largest difference, K, that the readings of one thermocouple may have between two files for no reason."""
 DRAWS = 400
 
 
@@ -268,6 +274,7 @@ class Search:
         self._few: FewTargets | None = None
         # What explains only differences between files: the share of the mean square that it removes, and its channels.
         self.between: list[tuple[float, frozenset[str]]] = []
+        self._offsets = set[str]()  # component errors that a sensor's offset in one of several files explains
         self._earlier = earlier
         self._asked = (model, given, seed, alpha, draws, only, explain, stage)
 
@@ -361,6 +368,8 @@ class Search:
             if lean := self._leaner(refitted, max(t.log_evidence for t in (*so_far, *shape))):
                 pair, chain, unknown, along = None, lean, None, None
         chain = self._without_instrument(chain)
+        if any(self._component(t) in self._offsets for t in (*(pair or ()), *chain)):
+            pair, chain = None, []
         self._doubt_files(chain, along)
         return (None, [], None) if self._doubted else (pair, chain, unknown)
 
@@ -489,7 +498,36 @@ class Search:
     def _instead(self, best: Refitted) -> Doubt | None:
         """Doubt that something else than an effect of the machine explains the readings; None for none."""
         effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
-        return self._beyond_materials(best) or dead_sensor(self.readings, effect, known) or self._between_files(best)
+        return (
+            self._beyond_materials(best)
+            or dead_sensor(self.readings, effect, known)
+            or self._between_files(best)
+            or self._sensor_offset(best)
+        )
+
+    def _sensor_offset(self, best: Refitted) -> Doubt | None:
+        """Doubt where a sensor that reads a little more or less in one of several files explains the readings as well.
+
+        The model reads it: so the prediction of that file is turned and bent, and an effect that beams at two offsets
+        tell from others is only that difference. What all files have in common is no doubt about the same component:
+        it must go into the model, whatever it comes from.
+        """
+        same = self._component(best) in {f.effect.component for f in self.model.effects}
+        names, columns = Edits(self.model, self.readings, self.judged.scale).by_offsets(first=1 if same else 0)
+        if not names:
+            return None
+        white = self.prepared.whitener(columns)
+        seen = np.linalg.norm(self._projected.take_out(white), axis=0) > SEEN * np.linalg.norm(white, axis=0)
+        names, columns = [n for n, s in zip(names, seen, strict=True) if s], columns[:, seen]
+        if not names or self.refits.beside_columns(best, columns) - self._prior_odds >= SURE:
+            return None
+        whole, noise = np.concatenate([self.prepared.base, columns], axis=1), best.fit.whitener
+        off_k = solve(noise(whole), noise(self.readings.values))[self.prepared.base.shape[1] :]
+        if np.abs(off_k).max() > OFF_K:
+            return None
+        most = int(np.abs(off_k).argmax())
+        self._offsets.add(self._component(best))
+        return sensor_offset(self.readings, self.candidates[best.number].effect.label, *names[most], float(off_k[most]))
 
     def _between_files(self, best: Refitted) -> Doubt | None:
         """Doubt where an effect explains only differences between files: a change of the machine explains them too."""

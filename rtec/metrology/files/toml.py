@@ -90,7 +90,6 @@ MISSING = """{toml}: no such file. A measurement is a table and a TOML of the sa
     [measurement]
     instrument = "laser_linear"
     axis = "X"
-    component = "EXX"
     machine = "{machine}"
     [setup]
 Or make both at once: rtec import {name} -o NAME"""

@@ -262,7 +262,7 @@ def import_to_files(
 
     check_named(out, MeasurementError)
     table = out if out.suffix in TABLES else out.with_name(out.name + ".csv")
-    _may_write(table, force=force)
+    _may_write(table, [paths] if isinstance(paths, Path) else paths, force=force)
     if reader is not None:
         how = how.model_copy(update={"source": how.source.model_copy(update={"reader": reader})})
     words = tuple(code for code in missing_codes if _number(code) is None)
@@ -287,8 +287,10 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _may_write(table: Path, *, force: bool) -> None:
+def _may_write(table: Path, inputs: Sequence[Path], *, force: bool) -> None:
     there = [p for p in (table, table.with_name(f"{table.stem}.toml")) if p.exists()]
+    if own := [p for p in there if any(p.samefile(i) for i in inputs if i.exists())]:
+        raise MeasurementError(f"{own[0]}: is imported here and must not be written over; give another name by -o")
     if there and not force:
         raise MeasurementError(f"{there[0]}: is there already; another name, or --force to write over it")
 

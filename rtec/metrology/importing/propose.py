@@ -27,7 +27,7 @@ from rtec.metrology.importing.diameters import halve_diameters
 from rtec.metrology.importing.map import Cycles, ImportMap
 from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles
 from rtec.metrology.importing.rows import from_events
-from rtec.metrology.importing.words import has
+from rtec.metrology.importing.words import has, unknown_unit
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.metrology.readers import detect, read_tables
@@ -471,6 +471,8 @@ class _Answers:
         self, key: str, text: str, choices: tuple[str, ...] = (), default: str | None = None, hint: str = ""
     ) -> str | None:
         """The answer, or the default; None where there is neither."""
+        if key.startswith("unit of ") and (strange := unknown_unit(key)):
+            text, default = f"{text} {strange!r} is no unit that rtec knows.", None
         question = ImportQuestion(key, text, choices, default, hint)
         if question.key in self.keys:
             return self.answers.get(question.key, question.default)

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from rtec.metrology.importing.words import (
     sensor_name,
     sensors_like,
     sign_said,
+    unknown_unit,
     words_of,
 )
 from rtec.metrology.instruments.registry import INSTRUMENTS
@@ -38,6 +39,11 @@ DATES = (
     "%d.%m.%Y", "%d.%m.%y", "%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y",
     "%d/%m/%y", "%m/%d/%y", "%d-%b-%Y", "%d %b %Y", "%Y%m%d",
 )  # fmt: skip
+MINUTES: Final = "%M:%S"
+ELAPSED: Final = frozenset({"elapsed", "duration", "dauer", "laufzeit", "verstrichen"})
+"""Words for a time since the begin, of which 0:12 is twelve seconds."""
+CORRECTS: Final = frozenset({"correction", "compensation", "comp", "korrektur", "korrekturwert", "kompensation"})
+"""Words for a value that is added to a position, so that its sign is that of nominal minus actual."""
 CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 JOINS = (" ", "T", "-", "_", ", ")
 TRIED = 400
@@ -209,6 +215,8 @@ class ColumnRoles:
             if days:
                 dates.append((name, days))
             forms = [c for c in CLOCKS if _fit(cells, c)]
+            if forms[:1] == ["%H:%M"] and ELAPSED & set(words_of(name)) and _fit(cells, MINUTES):
+                forms = [MINUTES]
             clock = clock or ((name, forms[0]) if forms else None)
         if clock is None:
             return None
@@ -217,7 +225,8 @@ class ColumnRoles:
             day = self._which(name, list(days))
             self.use[name] = ("time_s", f"date, {day}")
             return _When(clock[0], {"date": name, "format": f"{day} {clock[1]}"}, f"time of day, {clock[1]}")
-        return _When(clock[0], {"format": clock[1]}, f"time of day, {clock[1]}; no date in the file")
+        of = "minutes and seconds" if clock[1] == MINUTES else "time of day"
+        return _When(clock[0], {"format": clock[1]}, f"{of}, {clock[1]}; no date in the file")
 
     def _is_row(self) -> NDArray[np.bool_]:
         """Whether each line has more than one cell; `End of test;;;` does not."""
@@ -287,6 +296,7 @@ class ColumnRoles:
             median = float(np.median(self._finite(name)))
             if not like:
                 unit = "degf" if words_of(name)[1:] and words_of(name)[-1] == "f" else "degc" if median < HOT else ""
+                unit = "" if unknown_unit(name) else unit
                 self.settled |= {f"unit of {name}": unit} if unit else {}
             target = self._sensor(name, sensors) if sensors else sensor_name(name)
             if not target or f"{target}_degc" in self.columns:
@@ -588,7 +598,10 @@ class ColumnRoles:
             self.settled["sign"] = f"{said[0]:+d}"
             return said[0], f"{what}: {MEANS[said[0]]}, as line {said[1]} says"
         text = "Is the reading actual minus nominal (+1) or nominal minus actual (-1)?"
-        return int(self.ask("sign", text, ("+1", "-1"), "+1") or "+1"), what
+        corrects = bool(CORRECTS & set(words_of(name)))
+        text += f" {name!r} may be what a control adds (-1)." if corrects else ""
+        usual = None if corrects else "+1"
+        return int(self.ask("sign", text, ("+1", "-1"), usual) or "+1"), what
 
     def _unit_of_reading(self, name: str) -> dict[str, Any]:
         """By size, where only one unit is plausible: deviations of machines are below a few tenths of a millimetre."""

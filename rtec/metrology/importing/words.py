@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from rtec.metrology.readers.delimited import unit_named
-from rtec.metrology.units import UNITS
+from rtec.metrology.units import NO_UNIT, OTHERS, UNITS
 
 WORDS: Final[dict[str, frozenset[str]]] = {
     "time": frozenset(
@@ -259,6 +259,18 @@ def bare_unit(name: str) -> str:
         return ""
     unit = unit_named(word)
     return unit if unit in UNITS else ""
+
+
+def unknown_unit(name: str) -> str:
+    """What the end of a column's name writes as a unit that rtec does not know: `Error [0.1 µm]`; empty for nothing."""
+    found = re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$", name)
+    word = found.group(1) if found else ""
+    if not word or unit_named(word):
+        return ""
+    share = re.fullmatch(r"\d[\d.,/]*\s*(\D+)", word)
+    small = word.lower()
+    other = len(word) > 1 and (small in OTHERS or small in NO_UNIT or small in {"tenths", "lsb", "steps"})
+    return word if other or (share and unit_named(share.group(1).strip())) else ""
 
 
 def is_place(word: str) -> bool:

@@ -137,7 +137,7 @@ def _drift_of(
             f"{left:.2f} µm with the drift taken out."
         )
         if not any("every" in m for m in moves):
-            words += " Warming goes one way; this does not: look for a loose mount or a reference that is lost."
+            words += " It goes both ways: the machine warmed and cooled, or a mount is loose, or a reference is lost."
     else:
         words = (
             f"The cycles do not drift beyond their scatter (cycle means within {spread:.2f} µm, p = {p:.2f}), so the "
