@@ -101,7 +101,7 @@ def _reported(page: "Page", config: Path) -> None:
     found = _found(config)
     assert f"Correction: held: ordered by an operator. {found['machine']}, model {found['model']}," in html
     for axis, value in found["status"]["applied_um"].items():
-        assert re.search(rf">{axis}</td><td>[^<]*</td><td>{re.escape(um_text(value))}</td>", html)
+        assert re.search(rf">{axis}</td><td>[^<]*</td><td>[^<]*</td><td>{re.escape(um_text(value))}</td>", html)
     assert "new tool &lt;b&gt;4&lt;/b&gt;" in html
     assert html.count("data:image/png;base64,") >= 2
     assert "<script" not in html
