@@ -19,7 +19,8 @@ def contradicted(run: Floats | NDArray[np.int64], places_mm: Floats, ways: Float
         places_mm: of an axis, (n,).
         ways: its directions, (n,).
     """
-    within, by_mm = run[1:] == run[:-1], np.diff(places_mm)
+    with np.errstate(over="ignore"):  # a move beyond all numbers is infinite, and has its sign
+        within, by_mm = run[1:] == run[:-1], np.diff(places_mm)
     moved = within & (np.abs(by_mm) > MOVED_MM)
     # Between two readings at one place with other directions there was a move that no row shows.
     unseen = within & ~moved & (ways[1:] != ways[:-1])

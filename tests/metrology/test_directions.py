@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rtec.errors import MeasurementError
+from rtec.metrology.contradicted import contradicted
 from rtec.metrology.files.load import load_measurement
 from rtec.metrology.measurement import Measurement
 from tests.support.measurement_examples import TOML, machine
@@ -235,3 +236,9 @@ def test_a_log_between_the_runs_hides_no_feed(tmp_path: Path) -> None:
     v = m.channels["v_x"].reshape(3, 25)
     np.testing.assert_array_equal(v[:, :16], np.array([[10.0], [-10.0], [10.0]]) * np.ones(16))
     assert not v[:, 16:].any()
+
+
+def test_positions_at_the_end_of_all_numbers_are_no_fault() -> None:
+    """Their difference overflows. Oracle: the largest number of 64 bits."""
+    ends = np.array([-1.7e308, 1.7e308])
+    assert contradicted(np.zeros(2), ends, np.ones(2)) is None
