@@ -52,7 +52,7 @@ def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
 def input_rows(report: Mapping[str, Any]) -> list[list[str]]:
     """For each input: name, value, age."""
     status = report["status"]
-    rows = [["counts", "", f"{1e3 * status['counts_age_s']:.2f} ms"]]
+    rows = [["counts", "", f"{max(1e3 * status['counts_age_s'], 0.0):.2f} ms"]]
     for sensor, degc in status["degc"].items():
         value = "not read" if degc is None else f"{degc:.2f} °C"
         rows.append([sensor, value, _age(status["degc_age_s"][sensor]) if degc is not None else ""])

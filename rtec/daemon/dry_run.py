@@ -55,11 +55,10 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
         zero = _zero(setup, ports, step)
-        restarted = [""]
-        _read(ports, sample, zero, restarted)  # a device may get ready at the first read; that is no wait
+        _read(ports, sample, zero)  # a device may get ready at the first read; that is no wait
         end_ns, stale = clock.now_ns() + round(wait_s / NS), int(STALE)
         while True:
-            wrong = _read(ports, sample, zero, restarted)
+            wrong = _read(ports, sample, zero)
             sample.time_ns[0] = clock.now_ns()
             commands = step.run(sample)
             flags = int(commands.flags[0]) & HOLD_REASONS
@@ -77,7 +76,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         "inputs": input_rows(setup, sample, zero.known),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
         "reasons": [
-            *(text for text in (zero.why, restarted[-1]) if text),
+            *(text for text in (zero.why, zero.restarted) if text),
             *(text for flag, text in REASONS.items() if flag & Flag(flags)),
         ],
         "troubles": [*wrong, *folder_faults(setup)],
@@ -107,7 +106,7 @@ def unlimited(setup: Setup) -> list[str]:
     ]
 
 
-def _read(ports: Ports, sample: Samples, zero: Zero, restarted: list[str]) -> list[str]:
+def _read(ports: Ports, sample: Samples, zero: Zero) -> list[str]:
     """Read everything once, the counts last, since they age first; give the faults, a line a device."""
     wrong = {}
     for k, source in enumerate(ports.temperatures):
@@ -123,8 +122,7 @@ def _read(ports: Ports, sample: Samples, zero: Zero, restarted: list[str]) -> li
     try:
         counts = np.zeros_like(sample.counts[0])
         sample.counts_time_ns[0] = ports.counts.read_counts(counts)
-        if why := zero.lost():
-            restarted.append(why)
+        zero.lost()
         sample.counts[0] = counts + zero.offset
     except DriverError as e:
         wrong[ports.name("counts")] = str(e)

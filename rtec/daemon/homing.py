@@ -75,7 +75,7 @@ class Homing:
         if samples.time_ns[-1] - self._first.time_ns[0] < LOOK_NS:
             return None
         self.busy = False
-        return home_of(self._positions_mm, self._setup.machine)
+        return home_of(self._positions_mm, self._setup.machine, samples.counts[-1])
 
     def text(self, was: Samples | None) -> str:
         """The result in words; `was` is the newest row before it."""

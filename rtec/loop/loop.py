@@ -135,7 +135,7 @@ class Loop:
         """
         if self._counts_trouble.now:
             return False
-        self.zero.home(home, self._device_counts)
+        self.zero.home(home.by)
         self._tell_zero()
         np.add(self._device_counts, self.zero.offset, self._counts)
         self.step.forget_directions(home.axes, self._counts)

@@ -274,10 +274,8 @@ def read_disk(path: Path) -> tuple[Saved | None, bool]:
 
 
 def kept(places: StatePlaces) -> Saved | None:
-    """The state of a run that has ended, without a lock; None where there is none."""
-    memory = MemoryState(places.memory)
-    saved = memory.newest()
-    memory.close()
+    """The state of a run, without a lock, and whether it goes on or not; None where there is none. Changes nothing."""
+    saved = newest(_bytes(places.memory))
     return read_disk(places.disk)[0] if saved is None and places.disk is not None else saved
 
 

@@ -35,6 +35,7 @@ class Zero:
         known: are the positions of the axes known?
         by_order: does an order give them?
         why: why they are not known; "" where they are.
+        restarted: why an order to resume is needed, as `lost` gave it last; "" where it is not.
 
     Args:
         source: the device.
@@ -45,8 +46,9 @@ class Zero:
     def __init__(self, source: CountSource, axes: tuple[str, ...], by_order: bool) -> None:
         self.offset: IntArray = np.zeros(len(axes), np.int64)
         self.supply, self.by_order, self.known = UNKNOWN, by_order, not by_order
+        self.restarted = ""
         self._axes, self._source = axes, source if isinstance(source, Incremental) else None
-        self.why = "" if self.known else self._say("nobody has ordered them since it got its supply")
+        self.why = "" if self.known else self._say("nobody has ordered them since this device got its supply")
 
     def go_on(self, offset: IntArray, supply: int, known: bool) -> None:
         """Take over the zero of the run before."""
@@ -65,50 +67,50 @@ class Zero:
         starts = f"(start {self.supply}, before {before})"
         if self.by_order:
             self.offset[:], self.known = 0, False
-            self.why = self._say(f"it was without supply {starts}")
+            self.why = self._say(f"this device was without supply {starts}")
             return ""
-        return (
+        self.restarted = (
             f"it was without supply since the run before {starts}: its count 0 is where the axes stood then, and must "
             f"be the machine's zero; {HOLDS}"
         )
+        return self.restarted
 
     def resume(self) -> None:
         """Accept the device as it is, where its count 0 is the machine's zero."""
         if not self.by_order:
             self.supply = UNKNOWN
 
-    def home(self, home: "Home", counts: IntArray) -> None:
-        """Take over an order; `counts` are the device's."""
-        self.offset[home.axes] = home.counts[home.axes] - counts[home.axes]
+    def home(self, by: IntArray) -> None:
+        """Add these counts to the offset, by axis: the positions are known."""
+        self.offset += by
         self.known, self.why = True, ""
 
     def _say(self, why: str) -> str:
         order = " ".join(f"{axis}=…" for axis in self._axes)
         return (
-            f"the positions of the axes are not known, {why}; the correction holds until they are ordered: reference "
+            f"the positions of the axes are not known: {why}. The correction holds until they are ordered: reference "
             f"the axes, then `rtec ctl home {order}` (mm)"
         )
 
 
 @dataclass(frozen=True)
 class Home:
-    """An order for the loop.
+    """An order for the loop. It says by how much the counts were wrong, so an axis may move before the loop has it.
 
     Attributes:
         axes: whose position is ordered, (axes,).
-        counts: counts where they stand, (axes,).
+        by: what must be added to their counts, (axes,); 0 for the others.
     """
 
     axes: NDArray[np.bool_]
-    counts: IntArray
+    by: IntArray
 
 
-def home_of(positions_mm: Mapping[str, float], machine: Machine) -> Home:
-    """The order for the loop, from positions by axis name."""
-    return Home(
-        np.array([a.name in positions_mm for a in machine.axes]),
-        np.array([round(positions_mm.get(a.name, 0.0) * a.counts_per_mm) for a in machine.axes], np.int64),
-    )
+def home_of(positions_mm: Mapping[str, float], machine: Machine, counts: IntArray) -> Home:
+    """The order for the loop, from positions by axis name, and the counts of all axes at that instant, (axes,)."""
+    axes = np.array([a.name in positions_mm for a in machine.axes])
+    wanted = [round(positions_mm.get(a.name, 0.0) * a.counts_per_mm) for a in machine.axes]
+    return Home(axes, np.where(axes, np.array(wanted, np.int64) - counts, 0))
 
 
 def read_positions(text: str, machine: Machine) -> dict[str, float]:

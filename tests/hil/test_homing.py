@@ -116,7 +116,7 @@ def test_over_three_runs(bench: Bench) -> None:
 
     bench.box.reset()
     with running(bench, "third") as one:
-        assert until(lambda: "it was without supply (start 2, before 1)" in held(one))
+        assert until(lambda: "this device was without supply (start 2, before 1)" in held(one))
         assert here("ctl", "resume", bench.config).returncode == 1
         assert here("ctl", "home", "X=16.01", "Z=301.5", bench.config).returncode == 0
         assert until(lambda: not held(one))

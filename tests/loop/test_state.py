@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.daemon.recover import AtStart, recover
 from rtec.errors import RtecError
+from rtec.loop import state_files
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Samples
 from rtec.loop.state import (
@@ -27,7 +28,15 @@ from rtec.loop.state import (
     state_from_text,
     state_text,
 )
-from rtec.loop.state_files import DiskState, MemoryState, disk_is_damaged, read_disk, state_memory, state_places
+from rtec.loop.state_files import (
+    DiskState,
+    MemoryState,
+    StatePlaces,
+    disk_is_damaged,
+    read_disk,
+    state_memory,
+    state_places,
+)
 from rtec.loop.step import Step
 from tests.support import setups
 
@@ -444,3 +453,12 @@ def test_memory_that_was_deleted_can_still_be_read(tmp_path: Path, step: Step) -
         path.write_bytes(b"another loop's")
     assert path.read_bytes() == b"another loop's"
     reader.close()
+
+
+def test_a_look_at_the_kept_state_removes_nothing(tmp_path: Path) -> None:
+    """A dry run beside a daemon that just begins: its image exists, and nothing is in it yet."""
+    places = StatePlaces(tmp_path / "memory", None)
+    places.memory.write_bytes(bytes(IMAGE_BYTES))
+    assert state_files.kept(places) is None
+    assert places.memory.exists()
+    assert state_files.kept(StatePlaces(tmp_path / "none", tmp_path / "nor this")) is None

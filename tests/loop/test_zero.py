@@ -49,7 +49,7 @@ class Box(Absolute):
 def places(step: Step, moves: int) -> list[Ints]:
     """Counts at `HOME_MM` for 40 cycles, then a motion, both axes."""
     machine = step.settings.model.machine
-    begin = home_of(HOME_MM, machine).counts
+    begin = np.array([round(HOME_MM[a.name] * a.counts_per_mm) for a in machine.axes])
     return [begin] * 40 + [begin + 5 * np.array([k, -k], np.int64) for k in range(moves)]
 
 
@@ -75,10 +75,10 @@ def test_holds_until_it_is_ordered_then_corrects_as_with_absolute_counts(tmp_pat
     assert (samples.mode[1:20] == MODE_HOLD).all()
     assert not commands.applied_um[:20].any()
     (reason,) = loop.stats.reasons()["box"]
-    assert "nobody has ordered them since it got its supply" in reason
+    assert "nobody has ordered them since this device got its supply" in reason
     assert "`rtec ctl home X=… Z=…`" in reason
     assert not loop.waits  # an order to resume would not help
-    assert loop.home(home_of(HOME_MM, machine))
+    assert loop.home(home_of(HOME_MM, machine, samples.counts[19]))
     loop.run(280, lambda _: True)
     assert loop.stats.reasons() == {}
 
@@ -95,11 +95,24 @@ def test_holds_until_it_is_ordered_then_corrects_as_with_absolute_counts(tmp_pat
     assert np.abs(np.diff(commands.applied_um[20:], axis=0)).max() <= 50.0 * 1e-3 * (1 + 1e-9)
 
 
+def test_an_axis_may_move_before_the_loop_has_the_order(tmp_path: Path) -> None:
+    """The order is of the instant at which it was looked at. Oracle: absolute counts, 60 cycles later."""
+    loop, box, samples, _ = loop_of(tmp_path, Box, True, 300)
+    box.begins = (123_456, -7_890)
+    loop.run(10, lambda _: True)
+    home = home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[9])
+    loop.run(50, lambda _: True)
+    assert (samples.counts[59] != samples.counts[9]).all()
+    loop.home(home)
+    loop.run(10, lambda _: True)
+    assert np.array_equal(samples.counts[60:70], box.places[60:70])
+
+
 def test_without_supply_meanwhile_the_positions_are_lost(tmp_path: Path) -> None:
     loop, box, samples, _ = loop_of(tmp_path, Box, True, 300)
     assert isinstance(box, Box)
     loop.run(5, lambda _: True)
-    loop.home(home_of(HOME_MM, loop.step.settings.model.machine))
+    loop.home(home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[4]))
     loop.run(5, lambda _: True)
     assert samples.mode[9] == MODE_ON
     box.supply = 8
@@ -108,7 +121,7 @@ def test_without_supply_meanwhile_the_positions_are_lost(tmp_path: Path) -> None
     loop.order_resume()  # a person who resumes does not tell positions
     loop.run(5, lambda _: True)
     assert (samples.mode[16:20] == MODE_HOLD).all()
-    assert "it was without supply (start 8, before 7)" in loop.stats.reasons()["box"][0]
+    assert "this device was without supply (start 8, before 7)" in loop.stats.reasons()["box"][0]
 
 
 @pytest.mark.parametrize("by_order", [True, False])
@@ -119,7 +132,7 @@ def test_over_runs_the_zero_goes_on_with_the_supply_alone(tmp_path: Path, by_ord
     loop.keeper = StateWriter(image, loop.step, MODE_ON, zero=loop.zero)
     loop.run(5, lambda _: True)
     if by_order:
-        loop.home(home_of(HOME_MM, loop.step.settings.model.machine))
+        loop.home(home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[4]))
     loop.run(5, lambda _: True)
     saved = newest(image.tobytes())
     assert saved is not None

@@ -508,9 +508,9 @@ class Search:
     def _sensor_offset(self, best: Refitted) -> Doubt | None:
         """Doubt where a sensor that reads a little more or less in one of several files explains the readings as well.
 
-        The model reads it: so the prediction of that file is turned and bent, and an effect that beams at two offsets
-        tell from others is only that difference. What all files have in common is no doubt about the same component:
-        it must go into the model, whatever it comes from.
+        The model reads the sensor, so its offset turns and bends the prediction of that file. An angle that only beams
+        at two offsets show may be that difference. What all files have in common is no doubt about the component that
+        the model has: it must go into the model, whatever it comes from.
         """
         same = self._component(best) in {f.effect.component for f in self.model.effects}
         names, columns = Edits(self.model, self.readings, self.judged.scale).by_offsets(first=1 if same else 0)
