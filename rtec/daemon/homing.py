@@ -19,6 +19,8 @@ LOOK_NS: Final = 100_000_000
 """The axes must stand for this long, ns."""
 STANDS_MM: Final = 0.01
 """Largest motion, mm, of an axis that stands: servos hunt by some counts."""
+PATIENCE_NS: Final = 1_000_000_000
+"""The look waits for a reading for this long, ns: one that failed is no reason to refuse."""
 
 
 class Homing:
@@ -72,10 +74,16 @@ class Homing:
         if move:
             self.busy = False
             return f"{', '.join(move)} moved by up to {mm.max():.3g} mm while it was looked at; stop the axes first"
-        if samples.time_ns[-1] - self._first.time_ns[0] < LOOK_NS:
+        begin_ns, saved = self._first.time_ns[0], self._newest()
+        if samples.time_ns[-1] - begin_ns < LOOK_NS:
             return None
+        if saved is None or samples.counts_time_ns[-1] - begin_ns < LOOK_NS // 2:
+            if samples.time_ns[-1] - begin_ns < PATIENCE_NS:
+                return None
+            self.busy = False
+            return "the counts of the axes cannot be read; `rtec status` says why"
         self.busy = False
-        return home_of(self._positions_mm, self._setup.machine, samples.counts[-1])
+        return home_of(self._positions_mm, self._setup.machine, samples.counts[-1], saved.supply)
 
     def text(self, was: Samples | None) -> str:
         """The result in words; `was` is the newest row before it."""

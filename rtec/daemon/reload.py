@@ -38,7 +38,7 @@ MOST_BYTES = 65_536
 """Bytes that fit into the pipe while the loop is not reading yet."""
 _ORDERS = {"on": "enable", "hold": "hold", "off": "fade"}
 STAYS = "the old one stays in force"
-NO_COUNTS: Final = "not homed: the counts of the axes cannot be read; `rtec status` says why"
+LOST_SUPPLY: Final = "not homed: the device was without supply meanwhile; reference the axes, then order again"
 STEP_SHARE: Final = 0.2
 """Share of an axis' `warning_um`; a reload that moves the correction by more needs confirmation."""
 CLIMATES: Final = 16
@@ -386,7 +386,7 @@ class ReloadDesk:
         if change.homes and ring.reloads > 0:
             self._note(ring, "homed", change.done, "rtec")
         elif change.homes:
-            self._note(ring, "not homed", NO_COUNTS, "rtec")
+            self._note(ring, "not homed", LOST_SUPPLY, "rtec")
         elif ring.reloads > 0:
             self._done(ring, change.done, "reloaded")
         else:

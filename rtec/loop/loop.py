@@ -129,11 +129,11 @@ class Loop:
         self.take_over(None)
 
     def home(self, home: Home) -> bool:
-        """Take over where the axes stand; False: their counts are not known. Call it between cycles.
+        """Take over where the axes stand; False: the device lost its supply since. Call it between cycles.
 
         The correction goes to its new value at its slew limit. The directions of these axes are unknown again.
         """
-        if self._counts_trouble.now:
+        if home.supply != self.zero.supply:
             return False
         self.zero.home(home.by)
         self._tell_zero()

@@ -100,17 +100,19 @@ class Home:
     Attributes:
         axes: whose position is ordered, (axes,).
         by: what must be added to their counts, (axes,); 0 for the others.
+        supply: number of the device's start that these counts belong to.
     """
 
     axes: NDArray[np.bool_]
     by: IntArray
+    supply: int
 
 
-def home_of(positions_mm: Mapping[str, float], machine: Machine, counts: IntArray) -> Home:
+def home_of(positions_mm: Mapping[str, float], machine: Machine, counts: IntArray, supply: int) -> Home:
     """The order for the loop, from positions by axis name, and the counts of all axes at that instant, (axes,)."""
     axes = np.array([a.name in positions_mm for a in machine.axes])
     wanted = [round(positions_mm.get(a.name, 0.0) * a.counts_per_mm) for a in machine.axes]
-    return Home(axes, np.where(axes, np.array(wanted, np.int64) - counts, 0))
+    return Home(axes, np.where(axes, np.array(wanted, np.int64) - counts, 0), supply)
 
 
 def read_positions(text: str, machine: Machine) -> dict[str, float]:

@@ -165,6 +165,30 @@ class Folder:
             more,
         )
 
+    def machines_below(self) -> tuple[str, ...]:
+        """Machine files one folder below, as `rtec init` writes them: "mill/machine.toml"."""
+        try:
+            below = [e.name for e in os.scandir(self.root) if e.is_dir() and not e.name.startswith(".")]
+        except OSError:
+            return ()
+        found = []
+        for folder in sorted(below)[:MOST_FILES]:
+            with contextlib.suppress(RtecError):
+                found += [f"{folder}/{name}" for name in Folder(self.path(folder)).listing().machines]
+        return tuple(found)
+
+    def take(self, name: str) -> str:
+        """Copy one of `machines_below` into this folder; gives its name here.
+
+        Raises:
+            RtecError: it leads out of the folder, or cannot be copied.
+        """
+        below, file = name.split("/")
+        source = Folder(self.path(below)).existing(file)
+        here = f"{below}.toml" if file == "machine.toml" else file
+        self.write(here, source)
+        return here
+
     def write(self, name: str, content: bytes | Path) -> Path:
         """Write a file into the folder: it appears whole or not at all, and replaces no other file.
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tomli_w
 
+import rtec
 from rtec.cli.main import status
 from rtec.diagnosis.plan.ideas import extra_tests
 from rtec.diagnosis.plan.parameters import ball_bar_set, centres
@@ -24,6 +25,7 @@ from rtec.sim.campaign.truth import effect_from_text
 from tests.support.ball_bar_examples import bar, gantry
 from tests.support.machines import axis, turning_centre
 
+MILL = Path(__file__).parents[2] / "configs" / "machines" / "vertical-mill.toml"
 ONE = (0.0, 150.0, "ccw")
 TWO = (30.0, 146.969, "cw")
 THREE = (30.0, 146.969, "ccw")
@@ -209,6 +211,43 @@ EFFECTS = (
     "squareness,component=EA0Y,alpha=1",
     "servo_lag,component=EXX,axis=X,tau=1",
 )
+
+
+@pytest.mark.parametrize("centres_mm", [[(0.0, 0.0), (0.0, 0.0)], [(0.0, 0.0), (50.0, -20.0)]])
+def test_no_two_ideas_have_one_name(centres_mm: list[tuple[float, float]]) -> None:
+    """Circles in both senses about one ball lead to one idea each; about two balls the name says about which."""
+    given = [circle(t, centre_mm=[*c, 0.0]) for t, c in zip((ONE, FLAT_CW), centres_mm, strict=True)]
+    names = [e.name for e in extra_tests(gantry(), given) if e.name.startswith("ball bar XY")]
+    assert len(set(names)) == len(names)
+    assert any("centre 50, -20, 0 mm" in n for n in names) == (len(set(centres_mm)) > 1)
+
+
+@pytest.mark.parametrize("cycles", [1, 5, 20])
+def test_cycles_count_as_often_as_they_are_run(tmp_path: Path, cycles: int) -> None:
+    """Oracle: the mean of n circles is sqrt(n) times as good as one."""
+    one = _smallest(tmp_path, 1)
+    for name, size in _smallest(tmp_path, cycles).items():
+        assert size * cycles**0.5 == pytest.approx(one[name], rel=0.02), name
+
+
+def _smallest(folder: Path, cycles: int) -> dict[str, float]:
+    tests = []
+    for direction in ("ccw", "cw"):
+        content = {
+            "cycles": cycles,
+            "measurement": {"instrument": "ball_bar"},
+            "setup": {
+                "plane": "XY",
+                "centre_mm": [250.0, 200.0, 200.0],
+                "radius_mm": 150.0,
+                "direction": direction,
+                "feed_mm_min": 1000.0,
+            },
+        }
+        tests.append(folder / f"{direction}-{cycles}.toml")
+        tests[-1].write_text(tomli_w.dumps(content))
+    answer = rtec.plan(MILL, tests, suggest=False).to_dict()
+    return {n: v for n, v in answer["smallest_detectable"].items() if v is not None}
 
 
 def test_effects_are_separated_as_the_parameters_are() -> None:

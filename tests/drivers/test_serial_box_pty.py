@@ -187,12 +187,12 @@ def test_another_box_on_the_port(tmp_path: Path) -> None:
 
 def test_a_silent_box_is_opened_again(tmp_path: Path) -> None:
     """The port is there and nobody answers, for longer than `silent_reopen_s`; then somebody does."""
-    with box_on_pty(tmp_path) as (peer, _, _), on(tmp_path, silent_reopen_s=0.1, open_timeout_s=0.1) as driver:
+    with box_on_pty(tmp_path) as (peer, _, _), on(tmp_path, silent_reopen_s=0.5, open_timeout_s=0.5) as driver:
         soon(CLOCK, lambda: counts_of(driver))
         with peer.lock:
             peer.faults.silent = True
-        told(driver, "was silent for 0.1 s")
-        told(driver, "no encoder box answers within 0.1 s; trying again")
+        told(driver, "was silent for 0.5 s")
+        told(driver, "no encoder box answers within 0.5 s; trying again")
         with peer.lock:
             peer.faults.silent = False
         assert soon(CLOCK, lambda: counts_of(driver)) == [0, 0]

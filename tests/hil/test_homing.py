@@ -111,7 +111,7 @@ def test_over_three_runs(bench: Bench) -> None:
     bench.move(X=1.0)
     with running(bench, "second") as one:
         assert until(lambda: report(one)["status"]["position_mm"] == {"X": 16.01, "Z": 301.5})
-        assert not held(one)
+        assert until(lambda: not held(one))
         one.end()
 
     bench.box.reset()

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_ON
+from rtec.daemon.homing import Homing
 from rtec.errors import ConfigError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports, make_devices
@@ -16,7 +17,7 @@ from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import load_setup
 from rtec.loop.state import IMAGE_BYTES, StateWriter, newest
 from rtec.loop.step import Step
-from rtec.loop.zero import Zero, home_of, read_positions
+from rtec.loop.zero import Home, Zero, home_of, read_positions
 from tests.daemon.test_take_over import LateBox
 from tests.support import setups
 
@@ -78,7 +79,7 @@ def test_holds_until_it_is_ordered_then_corrects_as_with_absolute_counts(tmp_pat
     assert "nobody has ordered them since this device got its supply" in reason
     assert "`rtec ctl home X=… Z=…`" in reason
     assert not loop.waits  # an order to resume would not help
-    assert loop.home(home_of(HOME_MM, machine, samples.counts[19]))
+    assert loop.home(home_of(HOME_MM, machine, samples.counts[19], Box.supply))
     loop.run(280, lambda _: True)
     assert loop.stats.reasons() == {}
 
@@ -100,7 +101,7 @@ def test_an_axis_may_move_before_the_loop_has_the_order(tmp_path: Path) -> None:
     loop, box, samples, _ = loop_of(tmp_path, Box, True, 300)
     box.begins = (123_456, -7_890)
     loop.run(10, lambda _: True)
-    home = home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[9])
+    home = home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[9], Box.supply)
     loop.run(50, lambda _: True)
     assert (samples.counts[59] != samples.counts[9]).all()
     loop.home(home)
@@ -108,11 +109,51 @@ def test_an_axis_may_move_before_the_loop_has_the_order(tmp_path: Path) -> None:
     assert np.array_equal(samples.counts[60:70], box.places[60:70])
 
 
+def test_an_order_is_for_the_counts_of_one_start_of_the_box(tmp_path: Path) -> None:
+    """The box begins anew between the look and the loop: the order says nothing about its counts from then on."""
+    loop, box, samples, _ = loop_of(tmp_path, Box, True, 300)
+    assert isinstance(box, Box)
+    loop.run(10, lambda _: True)
+    home = home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[9], Box.supply)
+    box.supply, box.begins = 8, (123_456, -7_890)
+    loop.run(5, lambda _: True)
+    assert not loop.home(home)
+    loop.run(5, lambda _: True)
+    assert (samples.mode[16:20] == MODE_HOLD).all()
+
+
+@pytest.mark.parametrize(("fails_ms", "refusal"), [(0, ""), (60, ""), (400, ""), (10_000, "cannot be read")])
+def test_a_reading_that_failed_is_no_reason_to_refuse(tmp_path: Path, fails_ms: int, refusal: str) -> None:
+    """An order is looked at until a reading has come, for a second. Oracle: the counts that were read."""
+    loop, _, samples, _ = loop_of(tmp_path, Box, True, 20)
+    image = np.zeros(IMAGE_BYTES, np.uint8)
+    loop.keeper = StateWriter(image, loop.step, MODE_ON, zero=loop.zero)
+    loop.run(20, lambda _: True)
+    looks = Homing(setups.setup(tmp_path), lambda: newest(image.tobytes()))
+    looks.begin("X=40 Z=250.5")
+    found, began, step_ms = None, int(samples.time_ns[19]), 10
+    row = samples.rows(19, 20).copy()
+    for ms in range(0, 2000, step_ms):
+        row.time_ns[:] = began + ms * MS
+        if ms >= fails_ms:
+            row.counts_time_ns[:] = row.time_ns
+        found = looks.look(row)
+        if found is not None:
+            break
+    if refusal:
+        assert isinstance(found, str)
+        assert refusal in found
+    else:
+        assert isinstance(found, Home)
+        assert found.by.tolist() == (places(loop.step, 0)[0] - samples.counts[19]).tolist()
+    assert not looks.busy
+
+
 def test_without_supply_meanwhile_the_positions_are_lost(tmp_path: Path) -> None:
     loop, box, samples, _ = loop_of(tmp_path, Box, True, 300)
     assert isinstance(box, Box)
     loop.run(5, lambda _: True)
-    loop.home(home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[4]))
+    loop.home(home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[4], Box.supply))
     loop.run(5, lambda _: True)
     assert samples.mode[9] == MODE_ON
     box.supply = 8
@@ -132,7 +173,7 @@ def test_over_runs_the_zero_goes_on_with_the_supply_alone(tmp_path: Path, by_ord
     loop.keeper = StateWriter(image, loop.step, MODE_ON, zero=loop.zero)
     loop.run(5, lambda _: True)
     if by_order:
-        loop.home(home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[4]))
+        loop.home(home_of(HOME_MM, loop.step.settings.model.machine, samples.counts[4], Box.supply))
     loop.run(5, lambda _: True)
     saved = newest(image.tobytes())
     assert saved is not None

@@ -114,6 +114,9 @@ BODY = "".join(f"{i};{i * 0.5:.1f}\n" for i in range(8))
         ("t;e\n" + BODY + "1.000,5;1\n", {"delimiter": ";", "decimal": ",", "thousands": "."}),
         ("t;e\n" + BODY + "1'000.5;1\n", {"delimiter": ";", "thousands": "'"}),
         ("t,e\n" + BODY.replace(";", ",") + '"1,000.5",1\n', {"delimiter": ",", "thousands": ","}),
+        ("t;e\n0;150\n1;300\n2;450\n3;1,050\n", {"delimiter": ";", "thousands": ","}),
+        ("t;e\n0;150\n1;300\n2;450\n3;1.050\n", {"delimiter": ";", "decimal": ",", "thousands": "."}),
+        ("t,e\n0,348\n1,558\n2,822\n" + '3,"1,138"\n4,"1,329"\n5,"1,391"\n', {"delimiter": ",", "thousands": ","}),
         (("t;µ\n" + BODY).encode("cp1252"), {"delimiter": ";", "encoding": "cp1252"}),
         (("t;e\n" + BODY).encode("utf-16"), {"delimiter": ";"}),
         (("t;e\n" + BODY).encode("utf-16-le"), {"delimiter": ";", "encoding": "utf-16-le"}),
@@ -128,6 +131,59 @@ def test_how_a_table_is_written(tmp_path: Path, text: str | bytes, source: dict[
         assert found.get(key) == value, (key, found)
     extra = set(found) - set(source) - {"reader", "names", "skip_rows", "comment"}
     assert not extra, found
+
+
+@pytest.mark.parametrize("cut", [";", ","])
+@pytest.mark.parametrize("header", ["t [s];x [mm];e [um];T1", "Zeit;x;e;T1", "t;x;e [nm];T1"])
+def test_a_cell_may_hold_its_unit(tmp_path: Path, cut: str, header: str) -> None:
+    """Oracle: the numbers that were written. A cell that contradicts its header is no number, and that is asked."""
+    lines = [f"{12 * k} s;{125 * k}.0 mm;{k}.5 µm;{20 + k}.25 °C" for k in range(8)]
+    text = "\n".join([header, *lines]).replace(";", cut) + "\n"
+    p = proposed(tmp_path, text, {"axis": "X"} if "nm" in header else {"axis": "X", "sensor of T1": "T_x_nut"})
+    if "nm" in header:
+        assert [q.key for q in p.open if q.default is None]
+        assert "e [nm]" not in [c.get("from") for c in p.content["column"].values()]
+        return
+    columns = import_table(p.path, p.import_map()).columns
+    assert columns["x_mm"].tolist() == [125.0 * k for k in range(8)]
+    assert columns["reading_um"].tolist() == [k + 0.5 for k in range(8)]
+    assert columns["T_x_nut_degc"].tolist() == [20.25 + k for k in range(8)]
+    assert columns["time_s"].tolist() == [12.0 * k for k in range(8)]
+
+
+@pytest.mark.parametrize(
+    ("cut", "number", "clock"),
+    [
+        (";", lambda v: f"{v}".replace("-", "\u2212"), "%H:%M:%S"),
+        (",", lambda v: f'"{v}"'.replace(".", ","), "%H:%M:%S"),
+        ("\t", str, "%I:%M:%S %p"),
+    ],
+)
+def test_signs_and_a_night(tmp_path: Path, cut: str, number: Callable[[float], str], clock: str) -> None:
+    """A minus of typesetters, commas twice in quotes, times of day over two midnights. Oracle: the numbers written."""
+    e = [-2.5, 1.25, -0.5, 3.5, 4.25, -6.5]
+    times = [BEGAN.replace(hour=20) + timedelta(hours=7 * k) for k in range(6)]
+    rows = [
+        cut.join((f"{t:{clock}}", number(100.0 * k), number(v))) for k, (t, v) in enumerate(zip(times, e, strict=True))
+    ]
+    p = proposed(tmp_path, "\n".join([f"Time{cut}x [mm]{cut}e [um]", *rows]) + "\n", {"axis": "X"})
+    table = import_table(p.path, p.import_map())
+    assert table.columns["reading_um"].tolist() == e
+    assert table.columns["x_mm"].tolist() == [100.0 * k for k in range(6)]
+    assert table.columns["time_s"].tolist() == [7 * 3600.0 * k for k in range(6)]
+    assert any("pass midnight 2 times" in n for n in table.notes)
+
+
+def test_a_factor_of_a_thousand_is_asked(tmp_path: Path) -> None:
+    """Oracle: 3,320 nm and 3.320 nm are written alike where every number has three digits after its comma."""
+    text = "t [s];x [mm];e [nm]\n" + "".join(f"{k};{10 * k};{k + 3},{320 + k}\n" for k in range(6))
+    (question,) = (q for q in proposed(tmp_path, text).open if q.key == "decimal")
+    assert question.default is None
+    assert set(question.choices) == {",", "."}
+    for answer, factor in ((",", 1), (".", 1000)):
+        p = proposed(tmp_path, text, {"decimal": answer, "axis": "X"})
+        columns = import_table(p.path, p.import_map()).columns
+        assert columns["reading_um"][0] == pytest.approx(3.320 * factor / 1000)
 
 
 def test_a_first_row_of_numbers_is_data_and_that_is_said(tmp_path: Path) -> None:

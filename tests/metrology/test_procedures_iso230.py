@@ -121,6 +121,30 @@ def test_stops_of_a_measurement_become_visits() -> None:
     assert any("-1, 30 mm" in n for n in v.notes)
 
 
+@pytest.mark.parametrize("scatter_mm", [0.004, 0.02, 0.2])
+def test_logged_positions_scatter_about_their_target(scatter_mm: float) -> None:
+    """Oracle: the same test with commanded positions."""
+    rng, targets = np.random.default_rng(5), np.array([0.0, 13.0, 29.0, 41.0, 58.0])
+    position, sense = walk(targets, 5)
+    leg = np.cumsum(np.abs(np.diff(sense, prepend=0)) > 0)
+    reading, run = position + 3 * sense + leg, np.zeros(len(position), np.int64)
+    commanded = stops("m", position, sense, run, reading)
+    logged = stops("m", position + rng.uniform(-0.5, 0.5, len(position)) * scatter_mm, sense, run, reading)
+    np.testing.assert_allclose(logged.target_mm, targets, atol=scatter_mm)
+    np.testing.assert_array_equal(logged.up_um, commanded.up_um)
+    np.testing.assert_array_equal(logged.down_um, commanded.down_um)
+    assert any("count as one target" in n for n in logged.notes)
+    assert not any("count as one target" in n for n in commanded.notes)
+
+
+def test_places_that_are_read_once_stay_apart() -> None:
+    """A dense stretch beside targets, each of which comes again: nothing is put together."""
+    targets = np.concatenate([np.arange(0.0, 0.4, 0.1), [50.0, 100.0, 150.0]])
+    position, sense = walk(targets, 3)
+    v = stops("m", position, sense, np.zeros(len(position), np.int64), position)
+    np.testing.assert_allclose(v.target_mm, targets)
+
+
 def test_one_direction_only_and_missing_readings_are_said() -> None:
     holes = UP.copy()
     holes[1, 2] = np.nan

@@ -13,6 +13,24 @@ from rtec.tasks.folder import Folder
 from tests.studio.studio_rig import MACHINE
 
 
+def test_a_machine_in_a_folder_below_is_listed_and_copied(tmp_path: Path) -> None:
+    """As `rtec init mill` leaves it. Oracle: the bytes; a link that leads out of the opened folder is not followed."""
+    outside, root = tmp_path / "outside", tmp_path / "root"
+    (root / "mill").mkdir(parents=True)
+    outside.mkdir()
+    content = b"[machine]\n[axis.X]\n"
+    for place in (root / "mill", outside):
+        (place / "machine.toml").write_bytes(content)
+    (root / "far").symlink_to(outside)
+    (root / "near").mkdir()
+    (root / "near" / "machine.toml").symlink_to(outside / "machine.toml")
+    folder = Folder(root)
+    assert folder.machines_below() == ("mill/machine.toml",)
+    assert folder.take("mill/machine.toml") == "mill.toml"
+    assert (root / "mill.toml").read_bytes() == content
+    assert folder.listing().machines == ("mill.toml",)
+
+
 @pytest.mark.parametrize(
     "name",
     [

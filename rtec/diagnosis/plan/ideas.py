@@ -113,8 +113,15 @@ TURN_DEG = 360.0
 def _circles(machine: Machine, given: Sequence[Measurement]) -> Iterator[Idea]:
     """Circles about an existing ball: the other sense, another height, another feed; else a new one."""
     bars = [m.instrument.setup for m in given if isinstance(m.instrument, BallBar)]
-    for setup in bars:
-        yield from _again(setup, bars)
+    cheapest: dict[tuple[str, tuple[float, ...]], Idea] = {}
+    for idea in (idea for setup in bars for idea in _again(setup, bars)):
+        key = idea.name, tuple(idea.setup["centre_mm"])
+        if key not in cheapest or (idea.set_up_h or 0.0) < (cheapest[key].set_up_h or 0.0):
+            cheapest[key] = idea
+    names = [name for name, _ in cheapest]
+    for (name, centre), idea in cheapest.items():
+        where = f", centre {', '.join(f'{v:g}' for v in centre)} mm" if names.count(name) > 1 else ""
+        yield dataclasses.replace(idea, name=name + where)
     for plane in PLANES:
         if all(set(s.plane) != set(plane) for s in bars):
             yield from _first(machine, plane)

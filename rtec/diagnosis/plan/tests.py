@@ -84,7 +84,7 @@ def usual_effects(measurements: Sequence[Measurement], names: Sequence[str] = US
     return out
 
 
-def thinned(measurement: Measurement, most: int = 3000) -> Measurement:
+def thinned(measurement: Measurement, most: int = 30_000) -> Measurement:
     """Every n-th row, so that planning stays quick: whole runs where there are many."""
     if len(measurement) <= most:
         return measurement

@@ -13,6 +13,7 @@ from rtec.metrology.importing.map import Run, Time
 from rtec.metrology.readers.base import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, Floats, ForeignTable, Ints, parsed
 from rtec.metrology.units import convert
 from rtec.tomlfile import nearest
+from rtec.wording import counted
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
 
 
 STANDS_MM = 1e-3
+DAY_S = 86_400.0
 EPOCHS = {"filetime": (EPOCH_FILETIME, 1e-7), "excel": (EPOCH_EXCEL, 86400.0), "unix": (EPOCH_UNIX, 1.0)}
 
 
@@ -106,6 +108,11 @@ def _put_in_order(
     time_s: Floats, epoch: datetime | None, table: ForeignTable, time: Time, source: str, *, dated: bool
 ) -> RowClock:
     notes = []
+    if epoch is not None and not dated and not time.restarts:
+        midnights = np.diff(time_s, prepend=time_s[:1]) < -DAY_S / 2
+        time_s = time_s + DAY_S * np.cumsum(midnights)
+        if midnights.any():
+            notes.append(f"times of day without a date pass midnight {counted(int(midnights.sum()), 'time')}")
     falls = np.flatnonzero(np.diff(time_s) < 0) + 1
     if len(falls) and not time.restarts:
         i = falls[0]

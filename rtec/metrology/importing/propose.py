@@ -357,7 +357,8 @@ def _read(path: Path, preset: dict[str, Any], asker: "_Answers") -> _Read:
     more: dict[str, Any] = {}
     for doubt in found.doubts:
         if (key := doubt.key.removeprefix("source.")) not in preset:
-            more[key] = asker.ask(key, f"{doubt.reason}: which?", tuple(doubt.value), str(doubt.value[0]))
+            answer = asker.ask(key, doubt.reason, tuple(doubt.value))
+            more |= {} if answer is None else {key: answer}
     if more.get("decimal") == ".":
         more["thousands"] = ","
     source = found.source.model_copy(update=more)
@@ -508,6 +509,8 @@ class _Answers:
                     said = f"{self.source}: {key!r} is no question here: the file shows {str(known[key])!r}"
                     raise MeasurementError(f"{said}; a map may say otherwise")
                 out.append(Guess(f"answer {key}", answer, "as the file shows itself"))
+            elif kind is None and self.open and (key == "axis" or key in _setup_keys()):
+                continue  # whether it is asked, the answers to the open questions show
             elif kind is not None and _is_of_others(key, kind):
                 out.append(Guess(f"answer {key}", answer, f"not used: {kind.name} has no such key"))
             else:
@@ -527,8 +530,11 @@ def _same(key: str, answer: str, known: Any) -> bool:
 
 def _is_of_others(key: str, kind: type[Instrument]) -> bool:
     """Whether a key belongs to other instruments than this one."""
-    setups = {f"setup.{name}" for k in INSTRUMENTS.values() for name in k.setup_model.model_fields}
-    return (key == "axis" and kind.axis_use == "none") or key in setups
+    return (key == "axis" and kind.axis_use == "none") or key in _setup_keys()
+
+
+def _setup_keys() -> set[str]:
+    return {f"setup.{name}" for k in INSTRUMENTS.values() for name in k.setup_model.model_fields}
 
 
 def _setup(

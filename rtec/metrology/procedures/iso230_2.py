@@ -8,6 +8,7 @@ which is not scatter: one cycle has the same deviation at every target. A two-wa
 `x_ij - x̄_i = zero of cycle j + stretch of cycle j × position + rest`.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
@@ -372,6 +373,12 @@ def _few(visits: Visits) -> list[str]:
 
 Ints = NDArray[np.int64]
 SAME_TARGET_MM = 0.001
+OFTEN = 0.95
+"""Share of the places that come again, below which positions are taken for logged ones."""
+LARGEST_MM = 0.5
+"""Largest scatter of logged positions about their target, mm."""
+APART = 3.0
+"""Targets whose positions scatter are farther apart than the widest of them by this factor."""
 
 
 def visits_of(measurement: Measurement) -> Visits:
@@ -395,7 +402,8 @@ def stops(name: str, position_mm: Floats, direction: Floats, run: Ints, reading_
     """Group rows, in order of time, into visits.
 
     Consecutive rows at one target, in one direction and run, are one stop; their mean counts. The k-th visit of a
-    target in one direction belongs to cycle k.
+    target in one direction belongs to cycle k. Positions that were logged rather than commanded scatter about their
+    target: where few come again, those that clearly lie together are one target.
 
     Args:
         name: for messages.
@@ -407,18 +415,23 @@ def stops(name: str, position_mm: Floats, direction: Floats, run: Ints, reading_
     Raises:
         MeasurementError: there is no usable visit.
     """
-    target = _targets(position_mm)
-    change = np.ones(len(target), bool)
-    change[1:] = (np.diff(target) != 0) | (np.diff(direction) != 0) | (np.diff(run) != 0)
-    first = np.flatnonzero(change)
+    target = _targets(position_mm, SAME_TARGET_MM)
+    notes: tuple[str, ...] = ()
+    first = _stops(target, direction, run)
+    scatters = max(float(np.ptp(position_mm[target == t])) for t in np.unique(target)) > SAME_TARGET_MM
+    odd = scatters or _come_again(target[first], direction[first]) < OFTEN
+    if odd and (wider := _scatter_mm(position_mm)):
+        target = _targets(position_mm, wider)
+        first = _stops(target, direction, run)
+        notes = (f"Positions of one target differ by up to {1000 * wider:.3g} µm; they count as one target.",)
     means = [_mean(part) for part in np.split(reading_um, first[1:])]
     found: dict[tuple[float, int], list[float]] = {}
     for i, value in zip(first, means, strict=True):
         found.setdefault((float(target[i]), int(direction[i])), []).append(value)
-    return _table(name, found)
+    return _table(name, found, notes)
 
 
-def _table(name: str, found: dict[tuple[float, int], list[float]]) -> Visits:
+def _table(name: str, found: dict[tuple[float, int], list[float]], known: tuple[str, ...]) -> Visits:
     """Visits of all targets that were approached often enough; the others are in the notes."""
     ways = [d for d in (1, -1) if any(len(v) > 1 for (_, way), v in found.items() if way == d)]
     targets = sorted({t for t, _ in found})
@@ -427,7 +440,7 @@ def _table(name: str, found: dict[tuple[float, int], list[float]]) -> Visits:
         raise MeasurementError(
             f"{name}: no target was approached twice from the same side; ISO 230-2 needs repeated cycles"
         )
-    notes = []
+    notes = list(known)
     left = [t for t in targets if t not in kept]
     if left:
         some = ", ".join(f"{round(t, 3):g}" for t in left[:6]) + (", …" if len(left) > 6 else "")
@@ -445,14 +458,44 @@ def _table(name: str, found: dict[tuple[float, int], list[float]]) -> Visits:
     return Visits(name, np.array(kept), grid[1], grid[-1], tuple(notes))
 
 
-def _targets(position_mm: Floats) -> Floats:
+def _scatter_mm(position_mm: Floats) -> float | None:
+    """The widest scatter of positions about a target, mm; None where the targets do not show clearly."""
+    rising = np.sort(position_mm)
+    gaps = np.sort(np.diff(rising))
+    clear = (gaps[:-1] > SAME_TARGET_MM) & (gaps[1:] > APART * gaps[:-1])
+    for gap in gaps[:-1][clear]:
+        parts = np.split(rising, np.flatnonzero(np.diff(rising) > gap) + 1)
+        widest = max(float(np.ptp(part)) for part in parts)
+        apart = min(float(b[0] - a[-1]) for a, b in itertools.pairwise(parts))
+        if widest > LARGEST_MM:
+            return None
+        if apart > APART * widest:
+            return widest
+    return None
+
+
+def _stops(target: Floats, direction: Floats, run: Ints) -> Ints:
+    """The first row of each stop."""
+    change = np.ones(len(target), bool)
+    change[1:] = (np.diff(target) != 0) | (np.diff(direction) != 0) | (np.diff(run) != 0)
+    return np.flatnonzero(change)
+
+
+def _come_again(target: Floats, direction: Floats) -> float:
+    """Share of the places that are visited twice or more from one side; one row a stop."""
+    places, often = np.unique(np.stack([target, direction]), axis=1, return_counts=True)
+    return len(np.unique(places[0, often > 1])) / len(np.unique(places[0]))
+
+
+def _targets(position_mm: Floats, same_mm: float) -> Floats:
     """Target of each position, (n,): positions of the same target get the same value."""
     order = np.argsort(position_mm, kind="stable")
     rising = position_mm[order]
-    group = np.concatenate([[0], np.cumsum(np.diff(rising) > SAME_TARGET_MM)])
-    first = rising[np.searchsorted(group, np.arange(group[-1] + 1))]
+    group = np.concatenate([[0], np.cumsum(np.diff(rising) > same_mm)])
+    ends = np.searchsorted(group, np.arange(group[-1] + 2))
+    middle = rising[(ends[:-1] + ends[1:] - 1) // 2]
     out = np.empty_like(position_mm)
-    out[order] = first[group]
+    out[order] = middle[group]
     return out
 
 

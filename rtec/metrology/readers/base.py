@@ -1,5 +1,6 @@
 """The result of a reader, the options that describe the file, and dates and times in the formats of other programs."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
@@ -13,6 +14,7 @@ from pydantic import Field, model_validator
 from rtec.errors import MeasurementError
 from rtec.files import check_size
 from rtec.metrology.files.table import look_over
+from rtec.metrology.units import canonical
 from rtec.quantities import Counts
 from rtec.tomlfile import Strict, nearest
 
@@ -21,6 +23,9 @@ Ints = NDArray[np.int64]
 Texts = NDArray[np.object_]
 EXPANSION = 16
 """Bytes of memory per byte of a text while it is read."""
+WITH_UNIT = re.compile(r"([+-]?[\d.,][\d.,'\u00a0\u202f]*(?:[eE][+-]?\d+)?)\s*([°\u00b5\u03bc\"a-zA-Z]\S*)")
+MINUS = ("\u2212", "-")
+"""The typographic minus sign, and that of numbers."""
 WHERE = "in [source] of the map,"
 
 
@@ -66,8 +71,6 @@ class SourceOptions(Strict):
             )
         if self.names is not None and len(set(self.names)) < len(self.names):
             raise ValueError("a name is given twice")
-        if self.delimiter is not None and self.delimiter == self.decimal:
-            raise ValueError(f"delimiter and decimal are both {self.decimal!r}; such a table cannot be read")
         return self
 
 
@@ -127,6 +130,15 @@ class ForeignTable:
         return self.columns[name]
 
 
+def with_unit(cell: str) -> tuple[str, str] | None:
+    """The number and the unit of a cell such as "20.05 °C", as texts, the unit by its name in `UNITS`; else None."""
+    match = WITH_UNIT.fullmatch(cell.strip())
+    try:
+        return None if match is None else (match[1], canonical(match[2]))
+    except ValueError:
+        return None
+
+
 def number_or_none(text: str, decimal: str = ".") -> float | None:
     """Number in a cell, NaN where it is empty; None where it is a word."""
     plain = text.strip() if decimal == "." else text.strip().replace(".", "?").replace(decimal, ".")
@@ -160,7 +172,7 @@ def decoded(path: Path, encoding: str | None) -> tuple[str, tuple[str, ...]]:
     text = look_over(path, encoding, WHERE)
     check_size(path, path.stat().st_size, EXPANSION, MeasurementError)
     with path.open(encoding=text.encoding, newline=None) as file:
-        return file.read(), text.notes
+        return file.read().replace(*MINUS), text.notes
 
 
 EPOCH_FILETIME = datetime(1601, 1, 1, tzinfo=UTC)

@@ -12,7 +12,7 @@ import numpy as np
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.table import floats
-from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, Texts, decoded
+from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, Texts, decoded, with_unit
 from rtec.metrology.units import UNITS, canonical
 
 DELIMITERS = (";", "\t", ",", "|")
@@ -54,6 +54,9 @@ def table_of(
     table = _quick(path, rows, names, source, where) or _cells(path, rows, names, source, where)
     for name in names:
         columns[name], bad = _numbers_or_texts(table.column(name), source)
+        if bad is not None and (found := _less_units(columns[name], units.get(name), source)) is not None:
+            columns[name], units[name] = found
+            bad = None
         if bad is not None:
             wrong[name] = (int(rows.at[bad]), str(columns[name][bad]))
     return ForeignTable(path.stem, columns, units, rows.at, notes, wrong, where, source.decimal)
@@ -257,6 +260,21 @@ def _width_way(source: SourceOptions, where: str) -> str:
     empty = "empty cells? widths = [ … ] instead of a delimiter; " if source.delimiter == " " else ""
     before = f"lines before the header: {where} skip_rows = …; after it: comment = …"
     return f"is the delimiter {source.delimiter!r}? {empty}{before}"
+
+
+def _less_units(texts: Floats | Texts, unit: str | None, source: SourceOptions) -> tuple[Floats, str] | None:
+    """A column whose cells have a number and its unit: the same in all, and that of the header if that has one."""
+    import pyarrow as pa
+
+    plain: list[str | None] = []
+    for text in texts.tolist():
+        cell = with_unit(text) if text else ("", unit)
+        if cell is None or (unit is not None and cell[1] != unit):
+            return None
+        plain.append(cell[0] or None)
+        unit = cell[1]
+    values, bad = _numbers_or_texts(pa.chunked_array([pa.array(plain, pa.string())]), source)
+    return None if bad is not None or unit is None else (values.astype(np.float64), unit)
 
 
 def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Texts, int | None]:

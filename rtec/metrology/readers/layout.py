@@ -15,7 +15,7 @@ from typing import Any
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.table import LONGEST_LINE, MARKS
-from rtec.metrology.readers.base import SourceOptions
+from rtec.metrology.readers.base import MINUS, SourceOptions, with_unit
 from rtec.metrology.readers.delimited import DELIMITERS, NANS, split, unit_named
 from rtec.text import clean
 from rtec.tomlfile import validated
@@ -45,6 +45,9 @@ NO_VALUE = {
     "-inf",
     *map(str.lower, NANS),
 }
+BY_THREE = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+", re.ASCII)
+WHOLE = 3
+"""Different whole numbers, and numbers with a mark before three digits, that show a column of thousands."""
 DELIMITER_WORDS = {";": "semicolons", ",": "commas", "\t": "tabs", "|": "bars", " ": "blanks"}
 
 
@@ -138,7 +141,7 @@ def _sample(path: Path, declared: str | None) -> tuple[str, Guess | None, bool]:
         raise MeasurementError(
             f"{path}: byte {e.start} is no {name} text; is this a text table? (spreadsheets: save as CSV)"
         ) from e
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n").replace(*MINUS)
     if any(ord(c) < 32 and c not in "\t\n\f\v\x1a" for c in text[:65536]):
         raise MeasurementError(f"{path}: has control characters; is this a text table? (spreadsheets: save as CSV)")
     longest = max(map(len, text.split("\n")))
@@ -197,9 +200,16 @@ def kind_of(cell: str) -> str:
     """Kind of a cell: "number", "time", "" for no value, or "text"."""
     if not cell or cell.lower() in NO_VALUE:
         return ""
-    if NUMBER.fullmatch(cell) or GROUPED.fullmatch(cell):
+    plain = bare(cell)
+    if NUMBER.fullmatch(plain) or GROUPED.fullmatch(plain):
         return "number"
     return "time" if MOMENT.fullmatch(cell) else "text"
+
+
+def bare(cell: str) -> str:
+    """The cell without a unit behind its number."""
+    found = with_unit(cell)
+    return cell if found is None else found[0]
 
 
 def _cut_into(rows: Rows, options: Mapping[str, Any]) -> list[list[str]]:
@@ -433,9 +443,9 @@ def _over(line: str, mark: str | None, known: Mapping[str, Any]) -> list[str]:
 
 def _numbers(body: _Body, known: Mapping[str, Any], doubts: list[Guess]) -> list[Guess]:
     """Decimal sign, thousands, and words for "no value"."""
-    columns = body.of("number")
+    columns = [[bare(c) for c in column] for column in body.of("number")]
     numbers = [c for column in columns for c in column if kind_of(c) == "number"]
-    decimal, thousands, why = _signs(numbers, doubts)
+    decimal, thousands, why = _thousands(columns) or _signs(numbers, doubts)
     out = []
     if decimal == ",":
         out.append(Guess("source.decimal", ",", why))
@@ -449,6 +459,28 @@ def _numbers(body: _Body, known: Mapping[str, Any], doubts: list[Guess]) -> list
     return out
 
 
+def _thousands(columns: Sequence[Sequence[str]]) -> tuple[str, str, str] | None:
+    """Signs of a table of whole numbers, of which those from 1000 on have a mark, as in 900; 1,050.
+
+    Decimals that end after three digits in some cells and are whole in the others of their column do not occur.
+    """
+    for mark, decimal in ((",", "."), (".", ",")):
+        marked = [c for cells in columns for c in cells if mark in c]
+        if (
+            not marked
+            or not all(BY_THREE.fullmatch(c) for c in marked)
+            or any(mark in c and decimal in c for c in marked)
+        ):
+            continue
+        for cells in columns:
+            own = [c for c in cells if mark in c]
+            whole = [c for c in cells if re.fullmatch(r"[+-]?[1-9]\d{0,2}", c)]
+            trailing = any(c.endswith("0") for c in own)  # a form without ",0" has no "1,20" either
+            if len(set(whole)) >= WHOLE and (trailing or len(set(own)) >= WHOLE):
+                return decimal, mark, f"{own[0]!r} is among whole numbers such as {whole[0]!r}"
+    return None
+
+
 def _signs(numbers: Sequence[str], doubts: list[Guess]) -> tuple[str, str | None, str]:
     """Decimal sign, thousands separator, and the reason."""
     both = next((n for n in numbers if "." in n and "," in n), None)
@@ -459,18 +491,18 @@ def _signs(numbers: Sequence[str], doubts: list[Guess]) -> tuple[str, str | None
     mark = next((c for c in "' \u00a0\u202f" if group and c in group), None)
     commas = [n for n in numbers if "," in n]
     points = [n for n in numbers if "." in n]
-    by_three = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+")
     if not commas:
-        if points and all(by_three.fullmatch(n) for n in points) and any(n.count(".") > 1 for n in points):
+        if points and all(BY_THREE.fullmatch(n) for n in points) and any(n.count(".") > 1 for n in points):
             return ",", ".", f"as in {points[0]!r}"
         return ".", mark, f"as in {group!r}"
-    odd = next((n for n in commas if not by_three.fullmatch(n)), None)
+    odd = next((n for n in commas if not BY_THREE.fullmatch(n)), None)
     if odd is None and any(n.count(",") > 1 for n in commas):
         return ".", ",", f"as in {next(n for n in commas if n.count(',') > 1)!r}"
-    if odd is None and points and not all(by_three.fullmatch(n) for n in points):
+    if odd is None and points and not all(BY_THREE.fullmatch(n) for n in points):
         return ".", ",", f"commas are before three digits only, as in {commas[0]!r}"
     if odd is None:
-        doubts.append(Guess("source.decimal", [",", "."], f"{commas[0]!r} may be a decimal comma or a thousand"))
-    if points and all(by_three.fullmatch(n) for n in points):
+        question = f"Is the comma in {commas[0]!r} the decimal sign, or does it divide thousands (decimal sign .)?"
+        doubts.append(Guess("source.decimal", [",", "."], question))
+    if points and all(BY_THREE.fullmatch(n) for n in points):
         return ",", ".", f"decimal commas as in {odd or commas[0]!r}, points before three digits as in {points[0]!r}"
     return ",", mark, f"decimal commas, as in {odd or commas[0]!r}"

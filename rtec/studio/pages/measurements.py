@@ -250,13 +250,17 @@ def _machine(session: TabSession) -> None:
     def take(event: events.ValueChangeEventArguments[str | None]) -> None:
         name = str(event.value)
         try:
-            session.folder.write(name, (SHIPPED / "machines" / name).read_bytes())
+            if name in below:
+                name = session.folder.take(name)
+            else:
+                session.folder.write(name, (SHIPPED / "machines" / name).read_bytes())
         except RtecError as e:
             session.fail(str(e), "machine")
         session.look()
         session.machine = name if name in session.listing.machines else session.machine
         session.on_change()
 
+    below = () if session.listing.machines else session.folder.machines_below()
     with ui.element("div").classes("card"):
         Words("h2", "Machine")
         with ui.element("div").classes("row"):
@@ -264,12 +268,12 @@ def _machine(session: TabSession) -> None:
                 names = {n: clean(n) for n in session.listing.machines}
                 made = ui.select(names, value=session.machine or None, label="Machine file", on_change=choose)
             else:
-                Words(
-                    "p",
-                    "No machine file in the folder. Drop one above (rtec init writes one), or begin with one of these:",
-                )
                 shipped = sorted(p.name for p in (SHIPPED / "machines").glob("*.toml"))
-                made = ui.select(shipped, label="Machine that comes with rtec", on_change=take)
+                names = {n: f"{clean(n)}, one folder below" for n in below}
+                names |= {n: f"{n}, comes with rtec" for n in shipped}
+                way = "Drop one above (rtec init writes one), or take a copy of one of these:"
+                Words("p", f"No machine file beside the measurements. {way}")
+                made = ui.select(names, label="Machine to copy", on_change=take)
             made.props("outlined").style("min-width: min(22rem, 100%)")
         trouble(session, "machine")
 

@@ -6,6 +6,7 @@ Oracles: the files in the folder, the boxes that the browser lays out, what the 
 import filecmp
 import re
 import resource
+import shutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
+TURNING = Path(__file__).parents[3] / "configs" / "machines" / "turning-centre.toml"
 MB = 1 << 20
 WARM_MS = 5_000
 BEAM = "Where does the laser_linear read, as X, Y and Z from the tool tip (beam_offset_mm)?"
@@ -27,8 +29,11 @@ BEAM = "Where does the laser_linear read, as X, Y and Z from the tool tip (beam_
 
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningStudio]:
-    """Of an empty folder."""
-    with running_studio(tmp_path_factory.mktemp("first")) as made:
+    """Of a folder with nothing but a machine in a folder below, as `rtec init lathe` leaves it."""
+    folder = tmp_path_factory.mktemp("first")
+    (folder / "lathe").mkdir()
+    shutil.copy(TURNING, folder / "lathe" / "machine.toml")
+    with running_studio(folder) as made:
         yield made
 
 
@@ -41,8 +46,8 @@ def page(browser: "Browser", studio: RunningStudio, tmp_path_factory: pytest.Tem
     made.get_by_role("button", name="Import messung.csv").click()
     made.get_by_text("Choose the machine on the page Measurements first").wait_for()
     made.get_by_role("link", name="Measurements").click()
-    made.get_by_label("Machine that comes with rtec").click()
-    made.get_by_role("option", name="turning-centre.toml").click()
+    made.get_by_label("Machine to copy").click()
+    made.get_by_role("option", name="lathe/machine.toml, one folder below").click()
     made.get_by_label("Machine file").wait_for()
     return made
 

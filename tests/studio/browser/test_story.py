@@ -54,7 +54,7 @@ def story(browser: "Browser", studio: RunningStudio, tables: list[Path]) -> Watc
     """Two foreign tables are dropped and imported; a model is fitted, compared, diagnosed, added to, and saved."""
     watched = tab(browser, studio.address)
     page = watched.page
-    page.get_by_label("Machine that comes with rtec").click()
+    page.get_by_label("Machine to copy").click()
     page.get_by_role("option", name="turning-centre.toml").click()
     page.get_by_label("Machine file").wait_for()
     page.locator("input[type=file]").set_input_files(tables)
