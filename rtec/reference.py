@@ -1,4 +1,4 @@
-"""All keys of machine, run, model, measurement and map files, of answers for `rtec init`, and of every driver.
+"""All keys of machine, run, model, measurement, map and truth files, of answers for `rtec init`, of every driver.
 
 Derived from the pydantic models that check the files: every key that is checked is also explained, on a terminal or as
 a page of the documentation.
@@ -28,6 +28,7 @@ from rtec.metrology.files.toml import MeasurementFile
 from rtec.metrology.importing.map import ImportMap
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.model.file import ModelFile
+from rtec.sim.truth import Truth
 from rtec.tomlfile import read_toml
 
 FILES: Final[Mapping[str, type[BaseModel]]] = {
@@ -37,11 +38,25 @@ FILES: Final[Mapping[str, type[BaseModel]]] = {
     "measurement": MeasurementFile,
     "map": ImportMap,
     "answers": Answers,
+    "truth": Truth,
 }
 SINKS: Final = (PulseSink, FollowingErrorSink, OriginOffsetSink, PhaseSink)
 SEVERAL: Final = ("device", "output", "setup")
 """Tables of run file and measurement whose keys depend on one key: the driver, the kind of output, the instrument."""
 UNITS: Final = {
+    "um_per_m_degc": "µm/(m·°C)",
+    "degc_per_sqrt_h": "°C/√h",
+    "bend_per_degc": "1/°C",
+    "w_at_1000_rpm": "W",
+    "j_per_mm": "J/mm",
+    "j_per_k": "J/K",
+    "w_per_k": "W/K",
+    "rpm_per_s": "1/(min·s)",
+    "kv_per_s": "1/s",
+    "at_h": "h",
+    "period_h": "h",
+    "return_h": "h",
+    "phase_rad": "rad",
     "counts_per_mm": "counts/mm",
     "counts_per_s": "counts/s",
     "um_s2": "µm/s²",
@@ -220,6 +235,7 @@ def _shipped(file: str) -> dict[str, Any]:
     """A shipped file of this kind."""
     names = {"machine": "machines/turning-centre.toml", "run": "turning-centre-sim.toml"}
     names |= {"model": "models/turning-centre.toml", "map": "maps/laser-decimal-comma.toml"}
+    names |= {"truth": "sim/turning-centre.toml"}
     return read_toml(SHIPPED / names[file]) if file in names else {}
 
 
@@ -254,6 +270,7 @@ TITLES = {
     "measurement": "Measurement, the TOML beside its table",
     "map": "Map of `rtec import`",
     "answers": "Answers of `rtec init`",
+    "truth": "Truth of a simulated machine, of driver `sim`",
 }
 HEAD = """\
 # Every key of every file
@@ -401,6 +418,15 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "map.column.NAME.unit": '"µm"',
     "map.column.NAME.values": "{fwd = 1.0, bwd = -1.0}",
     "map.column.NAME.missing_codes": "[-9999.0]",
+    # truth
+    "truth.conductance": '[{between = ["headstock", "bed"], w_per_k = 14.0}]',
+    "truth.growth_um": '[{link = "spindle", motion = "Z", body = "headstock", per_degc = 0.7, per_degc2 = 0.003}]',
+    "truth.growth_urad": '[{link = "Z", motion = "B0", body = "headstock", minus = "bed", per_degc = 0.9}]',
+    "truth.drift_um": '[{link = "workpiece", motion = "X", amplitude = 0.6, period_h = 31.0}]',
+    "truth.spindle.shares": "{spindle_front = 0.6, spindle_rear = 0.4}",
+    "truth.axis.NAME.squareness_urad": "{B = 12.0}",
+    "truth.axis.NAME.drive.shares": "{x_nut = 0.7, carriage = 0.3}",
+    "truth.axis.NAME.motion_urad.NAME.bumps": "[[2.0, 140.0, 14.0]]",
     # answers
     "answers.name": '"lathe-3"',
     "answers.tool_chain": '["Z", "X", "turret", "tool"]',

@@ -491,7 +491,7 @@ def _significant(
         _, (_, gone, _, rest) = min(zip(later, idle, strict=True), key=lambda one: (one[0], *one[1][:2]))
         chosen = [*chosen[:gone], *rest, *chosen[gone + 1 :]]
     blocks = sum(len(s.blocks.fold) for s in sources)
-    why = "the readings are noise, or show an error that no effect describes"
+    why = "the readings are noise, or show an error that no effect predicts in other runs; `rtec compare` says which"
     if blocks < FEW_BLOCKS:
         why = f"{blocks} blocks of readings are too few to choose among {offered} effects"
     if wanted is not None:

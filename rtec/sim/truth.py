@@ -36,7 +36,16 @@ AngularMotion = Literal["A", "B", "C", "A0", "B0", "C0"]
 
 
 class Ambient(Strict):
-    """Air of the workshop: a daily wave, a slow random walk that returns, and days that differ by seed."""
+    """Air of the workshop: a daily wave, a slow random walk that returns, and days that differ by seed.
+
+    Attributes:
+        mean_degc: its mean temperature.
+        swing_degc: amplitude of the daily wave.
+        coldest_at_h: when it is coldest, h from the start of the run.
+        day_spread_degc: standard deviation of the mean between days.
+        walk_degc_per_sqrt_h: step of the random walk, °C/√h.
+        walk_return_h: time in which the walk returns to the mean.
+    """
 
     mean_degc: DegreesCelsius = 20.0
     swing_degc: DegreesSpread = 0.0
@@ -47,21 +56,37 @@ class Ambient(Strict):
 
 
 class Body(Strict):
-    """A first-order body of the thermal network."""
+    """A first-order body of the thermal network.
+
+    Attributes:
+        capacity_j_per_k: heat capacity, J/K; its time constant in air is this over `to_air_w_per_k`.
+        to_air_w_per_k: heat path to the air, W/K.
+    """
 
     capacity_j_per_k: Annotated[float, Field(ge=1e-3, le=1e12)]
     to_air_w_per_k: WattsPerKelvin = 0.0
 
 
 class Conductance(Strict):
-    """Heat path between two bodies."""
+    """Heat path between two bodies.
+
+    Attributes:
+        between: names of the two bodies.
+        w_per_k: heat that flows for each K between them, W/K.
+    """
 
     between: tuple[str, str]
     w_per_k: WattsPerKelvin
 
 
 class SpindleHeat(Strict):
-    """Heat of the spindle, `w_at_1000_rpm · (n/1000)^exponent`, shared among bodies."""
+    """Heat of the spindle, `w_at_1000_rpm · (n/1000)^exponent`, shared among bodies.
+
+    Attributes:
+        w_at_1000_rpm: heat at 1000 1/min, W.
+        exponent: growth of the heat with the speed: 1 to 2.
+        shares: share of the heat that each body takes, by name; together at most 1.
+    """
 
     w_at_1000_rpm: Annotated[float, Field(ge=0, le=1e6)]
     exponent: Annotated[float, Field(ge=1e-3, le=10)]
@@ -69,7 +94,15 @@ class SpindleHeat(Strict):
 
 
 class SensorTruth(Strict):
-    """A sensor on a body (or in the air: body "air")."""
+    """A sensor on a body (or in the air: body "air").
+
+    Attributes:
+        body: name of the body that it reads; "air" for the workshop's.
+        offset_degc: what it reads too much.
+        noise_degc: standard deviation of its white noise.
+        lag_s: time constant with which it follows its body.
+        resolution_degc: its smallest step; 0 for none.
+    """
 
     body: str
     offset_degc: DegreesDifference = 0.0
@@ -79,7 +112,13 @@ class SensorTruth(Strict):
 
 
 class TrueShape(Strict):
-    """`slope_per_m · q` + waves (amplitude, wavelength mm, phase rad) + bumps (height, centre mm, width mm)."""
+    """`slope_per_m · q` + waves + bumps, in µm or µrad by the table that it is in.
+
+    Attributes:
+        slope_per_m: straight part, per metre of travel.
+        waves: amplitude, wavelength mm and phase rad of each wave.
+        bumps: height, centre mm and width mm of each local bump.
+    """
 
     slope_per_m: Coefficient = 0.0
     waves: tuple[tuple[Coefficient, MillimetresPositive, Radians], ...] = ()
@@ -92,10 +131,14 @@ class Screw(Strict):
     Attributes:
         bodies: its bodies, of equal lengths along the travel.
         fixed_at_mm: its fixed point, where expansion is zero.
-        um_per_m_degc: expansion coefficient.
+        um_per_m_degc: expansion coefficient, µm/(m·°C).
         bend_per_degc: relative rise of that coefficient per °C (real steel is not quite linear).
-        cyclic_um: error once per pitch; `cyclic2_um` twice per pitch; phases in rad.
-        encoder_um: error once per turn of the encoder on the screw; has no meaning on a linear scale.
+        cyclic_um: amplitude of the error once per pitch.
+        cyclic_phase_rad: its phase.
+        cyclic2_um: amplitude of the error twice per pitch.
+        cyclic2_phase_rad: its phase.
+        encoder_um: amplitude of the error once per turn of the encoder on the screw; has no meaning on a linear scale.
+        encoder_phase_rad: its phase.
     """
 
     bodies: tuple[str, ...] = ()
@@ -111,7 +154,16 @@ class Screw(Strict):
 
 
 class Drive(Strict):
-    """Servo drive and position loop of one axis, and the heat that it makes."""
+    """Servo drive and position loop of one axis, and the heat that it makes.
+
+    Attributes:
+        kv_per_s: gain of the position loop, 1/s.
+        feed_forward: share of the speed that goes to the drive directly; 1 leaves no following error.
+        lag_ms: time constant of the speed loop.
+        heat_j_per_mm: heat that a way of 1 mm makes, J/mm.
+        shares: share of that heat that each body takes, by name.
+        production_feed_mm_s: usual feed, from which a day's heat is reckoned where no program runs.
+    """
 
     kv_per_s: Annotated[float, Field(ge=1e-3, le=1e4)] = 40.0
     feed_forward: Annotated[float, Field(ge=0, le=10)] = 1.0
@@ -122,7 +174,15 @@ class Drive(Strict):
 
 
 class AxisTruth(Strict):
-    """One axis: place of its encoder, its six motions, squareness and play."""
+    """One axis: place of its encoder, its six motions, squareness and play.
+
+    Attributes:
+        encoder: where its encoder is: "screw" or "scale".
+        backlash_um: play at a reversal.
+        motion_um: translational error of its slide by component: "EXX", "EYX", "EZX".
+        motion_urad: rotational error of its slide by component: "EAX", "EBX", "ECX".
+        squareness_urad: tilt of its line of travel about A, B or C.
+    """
 
     encoder: Literal["screw", "scale"] = "screw"
     backlash_um: MicrometresNotNegative = 0.0
@@ -134,7 +194,16 @@ class AxisTruth(Strict):
 
 
 class Growth(Strict):
-    """Motion `X`, `Y` or `Z` of a link, µm per °C of a body, or of its difference to another body (`minus`)."""
+    """Motion of a link, µm per °C of a body, or of its difference to another body (`minus`).
+
+    Attributes:
+        link: name of the link that moves.
+        motion: direction: X, Y or Z.
+        body: the body whose temperature moves it.
+        minus: a second body; the difference to its temperature counts. Not set: to the reference.
+        per_degc: motion per °C, µm or µrad.
+        per_degc2: motion per °C², µm or µrad.
+    """
 
     link: str
     motion: Literal["X", "Y", "Z"]
@@ -145,13 +214,24 @@ class Growth(Strict):
 
 
 class AngularGrowth(Growth):
-    """As `Growth`, µrad; `A0` `B0` `C0` tilt only an axis' direction of travel (squareness, parallelism)."""
+    """As `Growth`, µrad; `A0` `B0` `C0` tilt only an axis' direction of travel (squareness, parallelism).
+
+    Attributes:
+        motion: rotation A, B or C of the link; A0, B0 or C0 of the axis' line of travel alone.
+    """
 
     motion: AngularMotion  # type: ignore[assignment]
 
 
 class UnseenDrift(Strict):
-    """A slow wave that no sensor reads; its phase differs by seed."""
+    """A slow wave that no sensor reads; its phase differs by seed.
+
+    Attributes:
+        link: name of the link that drifts.
+        motion: direction: X, Y or Z.
+        amplitude: its height, µm.
+        period_h: its period.
+    """
 
     link: str
     motion: Literal["X", "Y", "Z"]
@@ -160,7 +240,14 @@ class UnseenDrift(Strict):
 
 
 class Servo(Strict):
-    """The controller: one speed profile for all."""
+    """The controller: one speed profile for all.
+
+    Attributes:
+        period_us: servo period.
+        rapid_mm_s: speed of rapid motions.
+        acceleration_mm_s2: acceleration of all axes.
+        spindle_rpm_per_s: ramp of the spindle, 1/min per second.
+    """
 
     period_us: Literal[50, 100, 125, 200, 250, 500, 1000] = 500
     rapid_mm_s: MillimetresPerSecond = 250.0
@@ -169,7 +256,21 @@ class Servo(Strict):
 
 
 class Truth(Strict):
-    """A whole simulated machine; `check_truth` compares it with the machine file."""
+    """A whole simulated machine; `check_truth` compares it with the machine file.
+
+    Attributes:
+        reference_degc: temperature at which nothing has grown.
+        ambient: air of the workshop.
+        body: the bodies of the thermal network, by name.
+        conductance: heat paths between them.
+        spindle: the spindle's heat.
+        sensor: the machine file's sensors, by name.
+        axis: the machine file's axes, by name.
+        growth_um: links that move as bodies warm up.
+        growth_urad: links that tilt as bodies warm up.
+        drift_um: slow motions that no sensor reads.
+        servo: the controller.
+    """
 
     reference_degc: DegreesCelsius = 20.0
     ambient: Ambient = Ambient()

@@ -34,7 +34,7 @@ def days(seed: int, changed: Sequence[str], air_degc: Sequence[float], swing: fl
     return out
 
 
-@pytest.mark.parametrize(("k", "seed"), proof.few([(18, 103), (18, 105), (18, 101), (45, 101), (45, 105)], 2))
+@pytest.mark.parametrize(("k", "seed"), proof.few([(18, 103), (18, 105), (18, 101), (45, 101), (45, 105)], 1))
 def test_a_scale_that_changed_between_two_days_is_no_heat(k: int, seed: int) -> None:
     """It had been called a scale and an expansion by the air together, or an error without a name over both."""
     d = diagnose(model(), days(seed, [f"scale,component=EXX,axis=X,k={k}"], (22.6, 20.2)), draws=50)
@@ -47,7 +47,7 @@ def test_a_scale_that_changed_between_two_days_is_no_heat(k: int, seed: int) -> 
     assert d.sentence.endswith("If the machine changed between them, diagnose the newer file alone.")
 
 
-@pytest.mark.parametrize("seed", [101, 103])
+@pytest.mark.parametrize("seed", proof.few([101, 103], 1))
 def test_of_the_new_day_alone_the_scale_is_named(seed: int) -> None:
     """What the answer to both asks for."""
     new = days(seed, ["scale,component=EXX,axis=X,k=18"], (22.6, 20.2))[1:]
@@ -61,7 +61,7 @@ def grown(m: Measurement, um_per_mm_degc: float) -> Measurement:
     return replace(m, readings={k: v + more for k, v in m.readings.items()})
 
 
-@pytest.mark.parametrize("seed", [101, 103])
+@pytest.mark.parametrize("seed", proof.few([101, 103], 1))
 def test_what_follows_the_air_within_each_day_is_named(seed: int) -> None:
     """A scale and an expansion together, both on both days. Oracle: these two."""
     both = [grown(m, 0.009) for m in days(seed, (), (22.6, 20.2), swing=2.0)]
@@ -70,7 +70,7 @@ def test_what_follows_the_air_within_each_day_is_named(seed: int) -> None:
     assert "between_files" not in {x.kind for x in d.doubts}
 
 
-@pytest.mark.parametrize("seed", [101, 103])
+@pytest.mark.parametrize("seed", proof.few([101, 103], 1))
 def test_what_has_no_name_and_follows_the_air_within_each_day_is_no_change(seed: int) -> None:
     """An axis that bends with the air squared. Oracle: its variables."""
     both = []
@@ -83,7 +83,7 @@ def test_what_has_no_name_and_follows_the_air_within_each_day_is_no_change(seed:
     assert "between_files" not in {x.kind for x in d.doubts}
 
 
-@pytest.mark.parametrize("seed", [101, 103])
+@pytest.mark.parametrize("seed", proof.few([101, 103], 1))
 def test_a_wave_that_is_there_on_one_day_only_does_not_grow_with_the_air(seed: int) -> None:
     """Of one period, and of no screw: without a name it had grown with the air. Oracle: what was put in."""
     wave = "cyclic_pole,component=EXX,axis=X,s=3,c=-2,period=61.3"

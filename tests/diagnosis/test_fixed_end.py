@@ -20,7 +20,7 @@ def day(end_mm: float, seed: int, on_degc: float) -> Measurement:
     return laser([SCALE, screw], seed, thermal=heat, noise={"white_um": NOISE_UM})
 
 
-@pytest.mark.parametrize(("end_mm", "seed"), proof.few([(180.0, 3), (215.0, 3), (185.0, 2), (185.0, 3)], 2))
+@pytest.mark.parametrize(("end_mm", "seed"), proof.few([(180.0, 3), (215.0, 3), (185.0, 2), (185.0, 3)], 1))
 def test_it_is_where_a_shift_by_the_same_temperature_says(end_mm: float, seed: int) -> None:
     done = improve(Model(small_machine(), effects(SCALE), name="scale"), [day(end_mm, seed, 6.0)], draws=50)
     found = {f.effect.effect: f for f in done.model.effects}

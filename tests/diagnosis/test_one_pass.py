@@ -74,14 +74,14 @@ def test_two_passes_and_a_machine_without_heat_are_not_doubted() -> None:
     assert one_pass(read([replace(once, channels={**once.channels, **calm})])) == []
 
 
-@pytest.mark.parametrize("seed", proof.few([0, 3, 10, 19], 2))
+@pytest.mark.parametrize("seed", proof.few([0, 3, 10, 19], 1))
 def test_one_reversal_does_not_show_how_reversals_change(seed: int) -> None:
     """Nothing grows, but a backlash that wears or that a temperature changes would meet the readings."""
     w = warming(seed, 1, grows=False)
     assert other_day_um(improved(w).model, w) < 1.1 * w.missed_um(np.zeros(len(w.other)))
 
 
-@pytest.mark.parametrize("seed", proof.few([2, 5, 9, 13], 2))
+@pytest.mark.parametrize("seed", proof.few([2, 5, 9, 13], 1))
 def test_scale_and_backlash_are_added_nonetheless(seed: int) -> None:
     """Nothing grows: the simplest explanation is right, and it is taken."""
     w = warming(seed, 1, grows=False)
