@@ -43,6 +43,8 @@ __all__ = ["Report", "Status", "Supervisor"]
 
 DRAIN_PERIOD_NS: Final = 20_000_000
 STOP_TIMEOUT_S: Final = 5.0
+START_S: Final = 300
+"""The loop begins within this time: a slow computer compiles for a minute, and a device may be late."""
 RING_SECONDS: Final = 6.0
 """The supervisor may stop for this long before rows are lost."""
 
@@ -219,8 +221,7 @@ class Supervisor:
                     process.join()
 
     def _supervise(self, ring: Ring, pipe: Connection, process: Any, workers: Workers) -> Report:
-        while not pipe.poll(DRAIN_PERIOD_NS * 1e-9) and process.is_alive():
-            workers.look(again=False)
+        self._wait_for_start(pipe, process, workers)
         ready = self._receive(pipe, process)
         ring.unlink()  # both sides have it: it is now freed with the last of them, however that ends
         self.warnings += ready["warnings"]
@@ -247,6 +248,24 @@ class Supervisor:
             flags_seen=self._watch.flags_seen,
             largest_um=self._watch.largest_um,
         )
+
+    def _wait_for_start(self, pipe: Connection, process: Any, workers: Workers) -> None:
+        """Wait until the loop has opened its devices, or has ended.
+
+        Raises:
+            DriverFault: it did neither for `START_S`, or for `STOP_TIMEOUT_S` after an order to end.
+        """
+        began, ends = self._clock.now_ns(), False
+        last = began + START_S * 1_000_000_000
+        while not pipe.poll(DRAIN_PERIOD_NS * 1e-9) and process.is_alive():
+            workers.look(again=False)
+            now = self._clock.now_ns()
+            if self._interrupted and not ends:
+                ends, last = True, now + round(STOP_TIMEOUT_S * 1e9)
+            if now > last:
+                waited = f"the loop has not begun for {round((now - began) * 1e-9)} s"
+                way = f"`rtec doctor {self.setup.path.name}` tries each"
+                raise DriverFault(f"{waited}; a driver hangs while it opens its device. {way}")
 
     def _until_done(self, ring: Ring, pipe: Connection, process: Any, disk: DiskThread, workers: Workers) -> None:
         flush_ns = round(self.setup.file.run.flush_s * 1e9)

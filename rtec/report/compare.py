@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
 AT_FLOOR = 1.1
 WORSE = "with the model the error is larger than without one"
-EXPLAINED = "Explained: share of the measured mean square error, without the noise."
+EXPLAINED = "Measured: less the zero of the instrument. Explained: share of its mean square, without the noise."
 
 
 def compare_page(c: Comparison, figures: bool = True) -> Page:

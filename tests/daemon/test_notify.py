@@ -21,6 +21,7 @@ from rtec.daemon.process import STATUS_NS, Notifier
 from rtec.daemon.status import Status
 from rtec.loop.clock import VirtualClock
 from tests.support import faulty, setups
+from tests.support.modbus_peer import until
 
 SECOND = 1_000_000_000
 
@@ -226,6 +227,20 @@ def test_no_sign_of_life_while_the_loop_is_stopped(tmp_path: Path) -> None:
             if loop:
                 os.kill(loop, signal.SIGCONT)
             assert service.end() == 130
+
+
+@pytest.mark.xdist_group("real-clock")
+def test_a_driver_that_never_opens_its_device_can_be_ended(tmp_path: Path) -> None:
+    """Oracle: the process table. Ctrl-C had done nothing: the supervisor waited for the loop to begin."""
+    told = tmp_path / "pid"
+    with manager(str(tmp_path / "notify")) as made:
+        service = Service(tmp_path, made, 10.0, happens="hangs", told=str(told))
+        assert until(lambda: told.exists() and told.read_text() != "")
+        service.process.send_signal(signal.SIGINT)
+        _, said = service.process.communicate(timeout=60)
+    assert service.process.returncode == 2
+    assert "a driver hangs while it opens its device" in said
+    assert not Path(f"/proc/{told.read_text()}").exists()
 
 
 def _drain(made: socket.socket, seconds: float) -> list[str]:

@@ -348,7 +348,7 @@ def test_the_shipped_laser_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert facts["checked"]
     assert facts["sha256"] == m.sha256
     assert "imported from file.csv" in m.notes
-    assert "columns of the file not used: Bemerkung" in m.notes
+    assert "columns of the file not used: Bemerkung (no numbers: 'Anfang')" in m.notes
     assert "reading_um: 1 of 5 readings missing (line 4)" in m.notes
 
 

@@ -25,13 +25,14 @@ class FaultyOptions(SimOptions):
     Attributes:
         at_cycle: reading of counts, from the loop's first real one on, at which it happens.
         happens: what: Ctrl-C in the terminal, the death of everything or of the supervisor, silence for 200 cycles,
-            or a port that is not there.
+            a port that is not there, or one whose opening never
+            ends, which notes its process in the file `told` before.
         told: a file that notes what the actuator was told.
         has: output that the actuator holds already when it is opened.
     """
 
     at_cycle: int = 0
-    happens: Literal["nothing", "ctrl_c", "kill_all", "kill_supervisor", "silence", "no_port"] = "nothing"
+    happens: Literal["nothing", "ctrl_c", "kill_all", "kill_supervisor", "silence", "no_port", "hangs"] = "nothing"
     told: Path | None = None
     has: tuple[int, ...] = ()
 
@@ -49,6 +50,11 @@ class FaultyDriver(SimDriver):
     def __enter__(self) -> "FaultyDriver":
         if self.faults.happens == "no_port":
             raise DriverUnavailable("/dev/ttyUSB7: no such port; plug it in, or name another")
+        if self.faults.happens == "hangs" and self.faults.told is not None:
+            self.faults.told.write_text(str(os.getpid()))
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            while True:
+                signal.pause()
         super().__enter__()
         if self.faults.has:
             super().apply(np.array(self.faults.has, np.int64))

@@ -24,10 +24,11 @@ from rtec.metrology.importing.rows import Bools, condition, from_events
 from rtec.metrology.importing.temperature_log import LoggedTemperatures, matched
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
-from rtec.metrology.readers.base import ForeignTable
+from rtec.metrology.readers.base import ForeignTable, Texts
 from rtec.metrology.units import convert, unit_of_column
 from rtec.metrology.unread import not_read, varies
 from rtec.result import Kind, Result, frame
+from rtec.text import clean
 from rtec.tomlfile import nearest
 
 ROTARY = re.compile(r"[abc]_deg|angle_deg")
@@ -155,7 +156,7 @@ def _part(path: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
         raise MeasurementError("\n".join(faults))
     keep = _after_first(columns, how, keep, str(path), notes)
     columns = {n: v[keep] for n, v in columns.items()}
-    notes += _doubts(columns, str(path))
+    notes = [*_doubts(columns, str(path)), *notes]
     table = table.rows(keep)
     clock = seconds(table, how.time, str(path))
     notes += clock.notes
@@ -388,9 +389,16 @@ def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> dict[str, 
     }
     unused = [n for n in table.columns if n not in used]
     if unused:
-        notes.append(f"columns of the file not used: {', '.join(unused[:20])}" + (" …" if len(unused) > 20 else ""))
+        some = ", ".join(n + _words_in(table.columns[n]) for n in unused[:20])
+        notes.append(f"columns of the file not used: {some}" + (" …" if len(unused) > 20 else ""))
     numbers = [n for n in unused if table.columns[n].dtype != np.object_]
     return {n: table.columns[n].astype(np.float64) for n in numbers}
+
+
+def _words_in(cells: Floats | Texts) -> str:
+    """Why a column is none of numbers; empty for one that is."""
+    first = next((str(c) for c in cells if str(c)), "") if cells.dtype == np.object_ else ""
+    return f" (no numbers: {clean(first[:20])!r})" if first else ""
 
 
 def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source: str) -> tuple[Floats, list[str]]:
