@@ -154,7 +154,6 @@ class Service:
     def __init__(self, folder: Path, made: socket.socket, watchdog_s: float, **device: Any) -> None:
         env = faulty.install(folder / "site") | {
             "NOTIFY_SOCKET": str(folder / "notify"),
-            "RUNTIME_DIRECTORY": str(folder),
         }
         env |= {"WATCHDOG_USEC": str(round(watchdog_s * 1e6))}
         config = setups.write(folder, setups.tables(folder, driver="faulty", **device))
@@ -185,6 +184,7 @@ class Service:
         return int(found)
 
 
+@pytest.mark.usefixtures("runtime_folder")
 @pytest.mark.xdist_group("real-clock")
 def test_the_daemon_is_ready_after_its_first_good_cycle_and_reloads_on_hup(tmp_path: Path) -> None:
     """The counts are silent from cycle 0 to 200 of the loop: not ready in them. Then HUP is a reload, TERM the end."""
@@ -205,6 +205,7 @@ def test_the_daemon_is_ready_after_its_first_good_cycle_and_reloads_on_hup(tmp_p
     assert [line.split('"what": "')[1].split('"')[0] for line in events.read_text().splitlines()][:1] == ["reload"]
 
 
+@pytest.mark.usefixtures("runtime_folder")
 @pytest.mark.xdist_group("real-clock")
 def test_no_sign_of_life_while_the_loop_is_stopped(tmp_path: Path) -> None:
     """SIGSTOP to the loop alone; the supervisor runs on, and says so by its status. Oracle: the socket's silence.
@@ -229,6 +230,7 @@ def test_no_sign_of_life_while_the_loop_is_stopped(tmp_path: Path) -> None:
             assert service.end() == 130
 
 
+@pytest.mark.usefixtures("runtime_folder")
 @pytest.mark.xdist_group("real-clock")
 def test_a_driver_that_never_opens_its_device_can_be_ended(tmp_path: Path) -> None:
     """Oracle: the process table. Ctrl-C had done nothing: the supervisor waited for the loop to begin."""
