@@ -79,7 +79,7 @@ proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines; all s
 	$(BIN)/python -m tests.ball_bar.ball_bar_proof
 	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n auto --dist loadgroup tests/diagnosis tests/characterise tests/ball_bar \
 	  tests/metrology/test_grid_encoder.py tests/real/test_real_fit.py tests/discovery/test_discovery.py \
-	  tests/sim/test_campaign.py tests/daemon/test_ring.py tests/hil/test_kill.py
+	  tests/sim/test_campaign.py tests/commission/test_wheel.py tests/daemon/test_ring.py tests/hil/test_kill.py
 
 reference: $(STAMP)  ## the page of all keys, off the models that check the files
 	$(BIN)/rtec explain --all > docs/reference/keys.md

@@ -107,6 +107,7 @@ class PtyPeer:
         self._clock, self._period_s = clock, period_s
         self._master = self._slave = -1
         self._thread: threading.Thread | None = None
+        self._rounds = 0
         self._wake: tuple[int, int] = (-1, -1)
 
     def __enter__(self) -> Self:
@@ -148,8 +149,17 @@ class PtyPeer:
         for fd in (self._master, self._slave, *self._wake):
             os.close(fd)
 
+    def settle(self) -> None:
+        """Wait until the device has worked on all that was sent to it."""
+        rounds, thread = self._rounds, self._thread
+        while thread is not None and thread.is_alive() and self._rounds < rounds + 2:
+            if select.select((self._master,), (), (), 0.0)[0]:
+                rounds = self._rounds
+            thread.join(1e-3)
+
     def _serve(self) -> None:
         while True:
+            self._rounds += 1
             ready = select.select((self._master, self._wake[0]), (), (), self._timeout_s())[0]
             if self._wake[0] in ready:
                 return

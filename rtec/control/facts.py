@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+from rtec.loop.zero import NOT_KNOWN
 from rtec.text import joined
 from rtec.wording import ERROR_UNITS
 
@@ -36,10 +37,11 @@ AXIS_COLUMNS: Final = ("axis", "position, mm", "requested, µm", "applied, µm",
 def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
     """For each axis: name, position, requested and applied correction, residual of the last measurement, output."""
     status, residual = report["status"], report["left"]["axes"]
+    lost = any(NOT_KNOWN in text for texts in status["devices"].values() for text in texts)
     return [
         [
             axis,
-            f"{status['position_mm'][axis]:.4f}",
+            "not known" if lost else f"{status['position_mm'][axis]:.4f}",
             um_text(status["requested_um"][axis]),
             um_text(status["applied_um"][axis]),
             f"{residual[axis]['rms_um']:.2f}" if axis in residual else "not known",

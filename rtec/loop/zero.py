@@ -22,6 +22,7 @@ from rtec.loop.orders import OrderRefused
 from rtec.loop.ports import HOLDS, CountSource, Incremental, IntArray
 from rtec.machine import Machine
 
+NOT_KNOWN: Final = "the positions of the axes are not known"
 UNKNOWN: Final = -1
 """Number of a device's start where it is not known."""
 
@@ -88,7 +89,7 @@ class Zero:
     def _say(self, why: str) -> str:
         order = " ".join(f"{axis}=…" for axis in self._axes)
         return (
-            f"the positions of the axes are not known: {why}. The correction holds until they are ordered: reference "
+            f"{NOT_KNOWN}: {why}. The correction holds until they are ordered: reference "
             f"the axes, then `rtec ctl home {order}` (mm)"
         )
 

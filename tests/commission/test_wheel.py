@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import proof
 from tests.support.foreign_tables import ANSWERS, WRITTEN, rows
 
 ROOT = Path(__file__).parents[2]
@@ -71,6 +72,7 @@ def test_an_empty_folder_reaches_run_demo_and_tutorial(bin_folder: Path, tmp_pat
     assert (tmp_path / "out/tutorial/laser-x.csv").is_file()
 
 
+@proof.long
 def test_the_demo_needs_no_other_file(bin_folder: Path, tmp_path: Path) -> None:
     """Oracle: the report, and the error that the correction removes on a short day; the whole day is in tests/demo."""
     told = shell(bin_folder / "rtec", "demo", "--hours", "0.5", "--no-hidden", "--json", folder=tmp_path)

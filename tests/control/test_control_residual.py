@@ -18,6 +18,7 @@ from rtec.control.residual import LARGEST_BYTES, Residual
 from rtec.diagnosis.compare.compare import compare
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
+from rtec.loop.zero import NOT_KNOWN
 from rtec.model import Model
 from tests.support import setups
 from tests.support.control_rig import FakeDaemon
@@ -127,6 +128,9 @@ def test_it_stands_beside_requested_and_applied(tmp_path: Path, daemon: FakeDaem
         ["X", "+1.50", "+1.25", "2.00"],
         ["Z", "-2.50", "not known", "not known"],
     ]
+    assert all(float(row[1]) == found["status"]["position_mm"][row[0]] for row in axis_rows(found))
+    found["status"]["devices"] = {"box": (f"{NOT_KNOWN}: nobody has ordered them",)}
+    assert [row[1] for row in axis_rows(found)] == ["not known", "not known"]
     assert "residual of X: root mean square of laser-x; noise 0.50 µm" in footer(found)
     missing = Desk(daemon, VirtualClock(1), {}, Residual(tmp_path / "none.json")).status()
     assert well(missing)

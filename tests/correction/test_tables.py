@@ -52,6 +52,21 @@ def test_a_table_comes_back_to_the_last_digit(
         assert np.abs(mine - again).max() < form.limits.quantum_um
 
 
+def test_play_of_an_axis_that_stands_is_in_no_table_of_another() -> None:
+    """Y leaves X where it came from: half the play either way. Oracle: by hand; both tables together leave nothing."""
+    play = FittedEffect(Backlash(component="EXY", axis="Y"), {"B": 6.0})
+    model = Model(MACHINE, (play,), name="play")
+    y, places = MACHINE.axis("Y"), np.array([-60.0, 0.0, 80.0])
+    own = table_of(model, X, X, places, conditions(model, X, AT))
+    assert not own.forward_um.any()
+    assert not own.backward_um.any()
+    cross = table_of(model, y, X, places, conditions(model, y, AT))
+    np.testing.assert_allclose(cross.forward_um, 3.0)
+    np.testing.assert_allclose(cross.backward_um, -3.0)
+    (other,) = (r for r in residuals(model, own) if r.what.startswith("Y from"))
+    assert other.largest_um == pytest.approx(3.0)
+
+
 def test_the_two_types_of_linuxcnc_by_hand() -> None:
     """Oracle: LinuxCNC's manual: type 0 nominal, actual forward, actual reverse; type 1 nominal, nominal - actual."""
     table = CompensationTable("X", "X", np.array([0.0, 10.0]), np.array([5.0, -3.0]), np.array([7.0, 0.0]))
@@ -191,11 +206,11 @@ def test_other_axes_are_searched_within_their_travel_too() -> None:
 
 
 def test_the_direction_of_another_axis_is_none_of_the_tables_own() -> None:
-    """Oracle: play of 4 µm of X, which shows along Y: half of it to each side, so the whole between them."""
+    """Oracle: play of 4 µm of X, which shows along Y: half of it to each side of the middle that the table has."""
     play = Backlash.model_validate({"component": "EYX", "axis": "X"})
     model, y = with_effects(FittedEffect(play, {"B": 4.0})), MACHINE.axis("Y")
     table = table_of(model, y, y, grid_mm(50.0), conditions(model, y, {}))
-    assert {r.what[0]: r.largest_um for r in residuals(model, table)}["X"] == pytest.approx(4.0)
+    assert {r.what[0]: r.largest_um for r in residuals(model, table)}["X"] == pytest.approx(2.0)
 
 
 def test_the_zero_of_a_format_is_no_residual_of_another_axis(

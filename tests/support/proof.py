@@ -4,9 +4,15 @@ import os
 from collections.abc import Sequence
 from typing import TypeVar
 
+import pytest
+
 T = TypeVar("T")
 
 WHOLE = "RTEC_WHOLE_PROOF" in os.environ
+
+
+long = pytest.mark.skipif(not WHOLE, reason="takes long; `make proof` runs it")
+"""Of what shorter tests of the suite cover in part."""
 
 
 def of(whole: int, some: int) -> int:

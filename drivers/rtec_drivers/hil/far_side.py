@@ -79,7 +79,11 @@ class MachinePart:
             self._plant.start(now_ns)
 
     def finish(self, folder: Path) -> dict[str, Any]:
-        """Stop recording; write the record, and report the ledger in the machine."""
+        """Stop recording; write the record, and report the ledger in the machine.
+
+        The loop has ended, but its last command may still be on the line.
+        """
+        self._peer.settle()
         with self._peer.lock:
             self._plant.follow(CLOCK.now_ns())
             machine, track = self._plant.machine, self._plant.recorder.track()

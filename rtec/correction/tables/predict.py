@@ -1,5 +1,6 @@
 """From a model to a table, and what the table cannot express."""
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
@@ -412,6 +413,16 @@ class _Predicted:
         return max(change(block, way) for block in blocks for way in ways)
 
     def _error_um(self, positions_mm: Floats, at: Mapping[str, float | Floats], direction: float) -> Floats:
+        """The mean over both directions of each axis whose direction the table does not know."""
+        ways = [
+            a.direction_channel
+            for a in self.model.machine.axes
+            if a.name != self.axis.name and a.direction_channel in self.model.channels and a.direction_channel not in at
+        ]
+        every = [dict(zip(ways, d, strict=True)) for d in itertools.product((1.0, -1.0), repeat=len(ways))]
+        return np.asarray(np.mean([self._at_um(positions_mm, {**at, **d}, direction) for d in every], axis=0))
+
+    def _at_um(self, positions_mm: Floats, at: Mapping[str, float | Floats], direction: float) -> Floats:
         model, machine, n = self.model, self.model.machine, len(positions_mm)
         times, before = self.history or (np.zeros(0), {})
         m = len(times)
