@@ -418,7 +418,8 @@ def stops(name: str, position_mm: Floats, direction: Floats, run: Ints, reading_
     target = _targets(position_mm, SAME_TARGET_MM)
     notes: tuple[str, ...] = ()
     first = _stops(target, direction, run)
-    scatters = max(float(np.ptp(position_mm[target == t])) for t in np.unique(target)) > SAME_TARGET_MM
+    # Farther from the middle of its target than commanded positions are: they lie together only by those between them.
+    scatters = float(np.abs(position_mm - target).max(initial=0.0)) > SAME_TARGET_MM
     odd = scatters or _come_again(target[first], direction[first]) < OFTEN
     if odd and (wider := _scatter_mm(position_mm)):
         target = _targets(position_mm, wider)
@@ -441,7 +442,7 @@ def _table(name: str, found: dict[tuple[float, int], list[float]], known: tuple[
             f"{name}: no target was approached twice from the same side; ISO 230-2 needs repeated cycles"
         )
     notes = list(known)
-    left = [t for t in targets if t not in kept]
+    left = sorted(set(targets).difference(kept))
     if left:
         some = ", ".join(f"{round(t, 3):g}" for t in left[:6]) + (", …" if len(left) > 6 else "")
         notes.append(
