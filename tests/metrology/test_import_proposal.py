@@ -133,6 +133,13 @@ def test_how_a_table_is_written(tmp_path: Path, text: str | bytes, source: dict[
     assert not extra, found
 
 
+def test_places_over_columns_of_plain_numbers_are_names(tmp_path: Path) -> None:
+    """Oracle: the file. They are no row of readings, though they are numbers with units."""
+    p = proposed(tmp_path, "0 mm;50 mm;100 mm\n" + "".join(f"{k}.5;{k}.25;{k}.75\n" for k in range(8)))
+    assert p.rows == 8
+    assert any("line 1 is taken for the header" in line for line in p.conclusions)
+
+
 @pytest.mark.parametrize("cut", [";", ","])
 @pytest.mark.parametrize("header", ["t [s];x [mm];e [um];T1", "Zeit;x;e;T1", "t;x;e [nm];T1"])
 def test_a_cell_may_hold_its_unit(tmp_path: Path, cut: str, header: str) -> None:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -133,10 +134,16 @@ class ForeignTable:
 def with_unit(cell: str) -> tuple[str, str] | None:
     """The number and the unit of a cell such as "20.05 °C", as texts, the unit by its name in `UNITS`; else None."""
     match = WITH_UNIT.fullmatch(cell.strip())
+    unit = "" if match is None else _unit(match[2])
+    return (match[1], unit) if match is not None and unit else None
+
+
+@cache
+def _unit(text: str) -> str:
     try:
-        return None if match is None else (match[1], canonical(match[2]))
+        return canonical(text)
     except ValueError:
-        return None
+        return ""
 
 
 def number_or_none(text: str, decimal: str = ".") -> float | None:

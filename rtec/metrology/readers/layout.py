@@ -307,6 +307,7 @@ class _Body:
         self.width = Counter(map(len, sure)).most_common(1)[0][0]
         whole = [c for c in sure if len(c) == self.width]
         self.kinds = [self._column(k, whole) for k in range(self.width)]
+        self.plain = [2 * sum(with_unit(row[k]) is not None for row in whole) < len(whole) for k in range(self.width)]
         self.first = next((i for i, c in enumerate(self.cells) if self._fits(c)), None)
 
     def _column(self, k: int, rows: Sequence[Sequence[str]]) -> str:
@@ -319,6 +320,8 @@ class _Body:
         """Whether this is a row of the table: it has a number or time in a column of that kind."""
         if len(cells) != self.width:
             return False
+        if any(plain and with_unit(c) is not None for c, plain in zip(cells, self.plain, strict=True)):
+            return False  # names of columns such as 50 mm
         pairs = [(kind_of(c), k) for c, k in zip(cells, self.kinds, strict=True) if k in ("number", "time")]
         return any(c == k for c, k in pairs) and all(c in (k, "") for c, k in pairs)
 
