@@ -7,6 +7,8 @@ import math
 from collections.abc import Sequence
 
 NONE = "–"
+POSITIONS_NOT_KNOWN = "the positions of the axes are not known"
+"""In the reason of the loop, by which others know it."""
 ERROR_UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 """Units of errors as people read them; errors of several instruments together are multiples of their noise."""
 LEAST_SHARE = 0.0005

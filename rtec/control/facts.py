@@ -3,9 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from rtec.loop.zero import NOT_KNOWN
 from rtec.text import joined
-from rtec.wording import ERROR_UNITS
+from rtec.wording import ERROR_UNITS, POSITIONS_NOT_KNOWN
 
 STALLED_S: Final = 1.0
 """Largest age, s, of the newest row of a loop that runs."""
@@ -37,7 +36,7 @@ AXIS_COLUMNS: Final = ("axis", "position, mm", "requested, µm", "applied, µm",
 def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
     """For each axis: name, position, requested and applied correction, residual of the last measurement, output."""
     status, residual = report["status"], report["left"]["axes"]
-    lost = any(NOT_KNOWN in text for texts in status["devices"].values() for text in texts)
+    lost = any(POSITIONS_NOT_KNOWN in text for texts in status["devices"].values() for text in texts)
     return [
         [
             axis,

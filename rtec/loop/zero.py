@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from rtec.loop.orders import OrderRefused
 from rtec.loop.ports import HOLDS, CountSource, Incremental, IntArray
 from rtec.machine import Machine
+from rtec.wording import POSITIONS_NOT_KNOWN
 
-NOT_KNOWN: Final = "the positions of the axes are not known"
 UNKNOWN: Final = -1
 """Number of a device's start where it is not known."""
 
@@ -89,7 +89,7 @@ class Zero:
     def _say(self, why: str) -> str:
         order = " ".join(f"{axis}=…" for axis in self._axes)
         return (
-            f"{NOT_KNOWN}: {why}. The correction holds until they are ordered: reference "
+            f"{POSITIONS_NOT_KNOWN}: {why}. The correction holds until they are ordered: reference "
             f"the axes, then `rtec ctl home {order}` (mm)"
         )
 

@@ -18,8 +18,8 @@ from rtec.control.residual import LARGEST_BYTES, Residual
 from rtec.diagnosis.compare.compare import compare
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
-from rtec.loop.zero import NOT_KNOWN
 from rtec.model import Model
+from rtec.wording import POSITIONS_NOT_KNOWN
 from tests.support import setups
 from tests.support.control_rig import FakeDaemon
 from tests.support.diagnosis_examples import effects, laser, small_machine
@@ -129,7 +129,7 @@ def test_it_stands_beside_requested_and_applied(tmp_path: Path, daemon: FakeDaem
         ["Z", "-2.50", "not known", "not known"],
     ]
     assert all(float(row[1]) == found["status"]["position_mm"][row[0]] for row in axis_rows(found))
-    found["status"]["devices"] = {"box": (f"{NOT_KNOWN}: nobody has ordered them",)}
+    found["status"]["devices"] = {"box": (f"{POSITIONS_NOT_KNOWN}: nobody has ordered them",)}
     assert [row[1] for row in axis_rows(found)] == ["not known", "not known"]
     assert "residual of X: root mean square of laser-x; noise 0.50 µm" in footer(found)
     missing = Desk(daemon, VirtualClock(1), {}, Residual(tmp_path / "none.json")).status()
