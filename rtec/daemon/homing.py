@@ -20,7 +20,7 @@ LOOK_NS: Final = 100_000_000
 STANDS_MM: Final = 0.01
 """Largest motion, mm, of an axis that stands: servos hunt by some counts."""
 PATIENCE_NS: Final = 1_000_000_000
-"""The look waits for a reading for this long, ns: one that failed is no reason to refuse."""
+"""The look waits this long for a reading, ns. One that failed is no reason to refuse."""
 
 
 class Homing:

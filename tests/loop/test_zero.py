@@ -110,7 +110,7 @@ def test_an_axis_may_move_before_the_loop_has_the_order(tmp_path: Path) -> None:
 
 
 def test_an_order_is_for_the_counts_of_one_start_of_the_box(tmp_path: Path) -> None:
-    """The box begins anew between the look and the loop: the order says nothing about its counts from then on."""
+    """The box loses its supply after the look. The order was for the counts of before, so the loop refuses it."""
     loop, box, samples, _ = loop_of(tmp_path, Box, True, 300)
     assert isinstance(box, Box)
     loop.run(10, lambda _: True)

@@ -116,6 +116,7 @@ BODY = "".join(f"{i};{i * 0.5:.1f}\n" for i in range(8))
         ("t,e\n" + BODY.replace(";", ",") + '"1,000.5",1\n', {"delimiter": ",", "thousands": ","}),
         ("t;e\n0;150\n1;300\n2;450\n3;1,050\n", {"delimiter": ";", "thousands": ","}),
         ("t;e\n0;150\n1;300\n2;450\n3;1.050\n", {"delimiter": ";", "decimal": ",", "thousands": "."}),
+        ("t;e\n0;1\n1;3\n2;7\n3;1.250\n", {"delimiter": ";"}),
         ("t,e\n0,348\n1,558\n2,822\n" + '3,"1,138"\n4,"1,329"\n5,"1,391"\n', {"delimiter": ",", "thousands": ","}),
         (("t;µ\n" + BODY).encode("cp1252"), {"delimiter": ";", "encoding": "cp1252"}),
         (("t;e\n" + BODY).encode("utf-16"), {"delimiter": ";"}),

@@ -249,7 +249,11 @@ def _conclusion(guess: Guess) -> str:
 def _way(question: ImportQuestion) -> str:
     key = f"--answer '{question.key}={question.choices[0] if len(question.choices) == 1 else '…'}'"
     key = f"--machine FILE, or {key}" if question.key == "machine" else key
-    hint = ", ".join(question.choices) if len(question.choices) > 1 else question.hint
+    hint = (
+        (" or " if "," in question.choices else ", ").join(question.choices)
+        if len(question.choices) > 1
+        else question.hint
+    )
     return f"{key} ({hint})" if hint else key
 
 

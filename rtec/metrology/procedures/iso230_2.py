@@ -418,7 +418,7 @@ def stops(name: str, position_mm: Floats, direction: Floats, run: Ints, reading_
     target = _targets(position_mm, SAME_TARGET_MM)
     notes: tuple[str, ...] = ()
     first = _stops(target, direction, run)
-    # Farther from the middle of its target than commanded positions are: they lie together only by those between them.
+    # A chain of logged positions, each within 1 µm of the next, is longer than a target of commanded ones.
     scatters = float(np.abs(position_mm - target).max(initial=0.0)) > SAME_TARGET_MM
     odd = scatters or _come_again(target[first], direction[first]) < OFTEN
     if odd and (wider := _scatter_mm(position_mm)):

@@ -46,6 +46,8 @@ NO_VALUE = {
     *map(str.lower, NANS),
 }
 BY_THREE = re.compile(r"[+-]?[1-9]\d{0,2}([.,]\d{3})+", re.ASCII)
+NEAR = 0.1
+"""The largest number without a mark is at least this share of the smallest one with a mark in a column of thousands."""
 WHOLE = 3
 """Different whole numbers, and numbers with a mark before three digits, that show a column of thousands."""
 DELIMITER_WORDS = {";": "semicolons", ",": "commas", "\t": "tabs", "|": "bars", " ": "blanks"}
@@ -465,7 +467,8 @@ def _numbers(body: _Body, known: Mapping[str, Any], doubts: list[Guess]) -> list
 def _thousands(columns: Sequence[Sequence[str]]) -> tuple[str, str, str] | None:
     """Signs of a table of whole numbers, of which those from 1000 on have a mark, as in 900; 1,050.
 
-    Decimals that end after three digits in some cells and are whole in the others of their column do not occur.
+    Decimals that end after three digits in some cells and are whole in the others of their column do not occur. Whole
+    numbers of the size of the marked ones must be there: 1,250 among 1 to 7 may be anything.
     """
     for mark, decimal in ((",", "."), (".", ",")):
         marked = [c for cells in columns for c in cells if mark in c]
@@ -479,7 +482,9 @@ def _thousands(columns: Sequence[Sequence[str]]) -> tuple[str, str, str] | None:
             own = [c for c in cells if mark in c]
             whole = [c for c in cells if re.fullmatch(r"[+-]?[1-9]\d{0,2}", c)]
             trailing = any(c.endswith("0") for c in own)  # a form without ",0" has no "1,20" either
-            if len(set(whole)) >= WHOLE and (trailing or len(set(own)) >= WHOLE):
+            if len(set(whole)) < WHOLE or not (trailing or len(set(own)) >= WHOLE):
+                continue
+            if max(abs(int(c)) for c in whole) >= NEAR * min(abs(int(c.replace(mark, ""))) for c in own):
                 return decimal, mark, f"{own[0]!r} is among whole numbers such as {whole[0]!r}"
     return None
 
