@@ -22,6 +22,7 @@ M = TypeVar("M", bound=BaseModel)
 MAX_BYTES = 64 * 1024 * 1024
 DEEPEST = 32
 """Largest depth of tables within tables; no file of rtec has more than seven."""
+DECIMAL_COMMA = re.compile(r"=\s*([+-]?\d+),(\d+)\s*(?:#|$)")
 ENDLESS_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){%d}" % (DEEPEST + 1))  # noqa: UP031 (braces)
 MOST_NEAR, LIKE, NEARLY = 6, 0.6, 0.05
 """Largest number of words proposed for a mistyped one; how similar they are at least, whatever the case; and how much
@@ -96,7 +97,7 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
     except OSError as e:
         raise error(f"{path}: cannot be read: {e.strerror}") from e
     except ValueError as e:  # TOMLDecodeError is one; a number of thousands of digits raises another
-        raise error(f"{path}: not valid TOML: {e}") from e
+        raise error(f"{path}: not valid TOML: {e}{_comma(text, str(e))}") from e
     if beyond:
         raise error("\n".join(f"{path}: {place}: TOML's integers have 64 bits; this one has more" for place in beyond))
     if fault := next(_unprintable(data), ""):
@@ -149,6 +150,13 @@ def digest(value: object) -> str:
     """SHA-256 of a value's canonical JSON: the same content gives the same digest, whatever its formatting."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=True)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _comma(text: str, fault: str) -> str:
+    """What to write, where the faulty line gives a number with a decimal comma; else nothing."""
+    at = re.search(r"at line (\d+)", fault)
+    number = at and DECIMAL_COMMA.search(text.splitlines()[int(at[1]) - 1])
+    return f"; a decimal mark is a point: {number[1]}.{number[2]}" if number else ""
 
 
 def nearest(word: str, allowed: typing.Iterable[str]) -> str:

@@ -4,11 +4,12 @@ Without a drift model every method gives false alarms: neighbouring readings sha
 shared part looks like any effect that also changes slowly.
 """
 
+import hashlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, wraps
+from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from rtec.estimation.whitening import drift_sums, gains, innovations
 from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
+P = ParamSpec("P")
 
 WIDE = 1e5
 """Variance of a run's unknowns over that of the readings: large, so that only the readings determine them."""
@@ -29,6 +31,8 @@ START = ((0.2, 0.01), (0.2, 0.05), (2.0, 0.05), (2.0, 0.25), (20.0, 0.25))
 STEPS = 60
 MANY, STRETCH = 8000, 400
 """Readings of the longest series that is searched whole; of a longer one, stretches of `STRETCH`, `MANY` in total."""
+KEPT = 512
+"""So many results of each search for a noise are kept."""
 DRIFT_BOUNDS = (1e-4, 1e5)
 INEXACT = 0.05
 """No law of a machine is more accurate than this: the least white noise, as a share of what it is to explain.
@@ -185,6 +189,29 @@ def _at_least(noise: Noise, sigma: float) -> Noise:
     return replace(noise, sigma=sigma, drift=max(noise.drift * less, DRIFT_BOUNDS[0]), offset=noise.offset * less)
 
 
+def _remembered(search: Callable[Concatenate[Series, P], Noise]) -> Callable[Concatenate[Series, P], Noise]:
+    """A search that keeps its last results: the steps of a diagnosis ask for the same noise again and again."""
+    known: dict[bytes, Noise] = {}
+
+    @wraps(search)
+    def found(series: Series, /, *of: P.args, **by_name: P.kwargs) -> Noise:
+        whole = (series.time_s, series.run, series.nuisance, *of, *by_name.values())
+        digest = hashlib.blake2b(repr([getattr(v, "shape", v) for v in whole]).encode(), digest_size=16)
+        for numbers in whole:
+            if isinstance(numbers, np.ndarray):
+                digest.update(np.ascontiguousarray(numbers).data)
+        key = digest.digest()
+        noise = known.get(key)
+        if noise is None:
+            noise = search(series, *of, **by_name)
+            for oldest in list(known)[: len(known) - KEPT + 1]:
+                known.pop(oldest, None)
+            known[key] = noise
+        return noise
+
+    return found
+
+
 def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tuple[float, ...] = ()) -> Whitener:
     """Estimate the noise of every series, with the current model's columns as its mean.
 
@@ -199,7 +226,7 @@ def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tupl
         y = readings.values[s.part]
         run_variance = _run_variance(s, y)
         run_variances.append(run_variance)
-        noises.append(_reml(s, run_variance, _orthonormal(base[s.part]), y, steps))
+        noises.append(_reml(s, run_variance, base[s.part], y, steps))
     return Whitener(readings, (), tuple(run_variances), least).with_noises(noises)
 
 
@@ -323,6 +350,7 @@ def _stretches(n: int) -> NDArray[np.int64]:
     return np.unique((first[:, None] + np.arange(STRETCH)).ravel())
 
 
+@_remembered
 def _of_residual(series: Series, run_variance: Floats, left: Floats, now: Noise, steps: int) -> Noise:
     """Noise of a series of residuals without a mean, searched from an approximate noise."""
     from rtec.estimation.whitening import likelihood, walk
@@ -354,8 +382,9 @@ def _prior(noise: Noise) -> float:
     return value
 
 
+@_remembered
 def _reml(series: Series, run_variance: Floats, base: Floats, y: Floats, steps: int) -> Noise:
-    cost = _Mean(series, run_variance, base, y)
+    cost = _Mean(series, run_variance, _orthonormal(base), y)
     span = max(float(series.time_s[-1] - series.time_s[0]), 1.0)
     offset = 0.0 if _has_zero(series) or series.run[-1] == 0 else 0.1
     starts = [Noise(1.0, d, max(share * span, 1.0), offset) for d, share in START]

@@ -257,16 +257,13 @@ def _name_faults(file: MachineFile, chain: list[str]) -> list[str]:
 
 def _chain_faults(file: MachineFile, chain: list[str]) -> list[str]:
     out = [f"[machine] {name!r} is twice in the chains" for name in sorted({n for n in chain if chain.count(n) > 1})]
-    out += [
-        f"[axis.{name}] is in neither tool_chain nor work_chain{nearest(name, chain)}"
-        for name in file.axis
-        if name not in chain
-    ]
-    out += [
-        f"[link.{name}] is in neither tool_chain nor work_chain{nearest(name, chain)}"
-        for name in file.link
-        if name not in chain
-    ]
+    described = {*file.axis, *file.link}
+    bare = [name for name in chain if name not in described]
+    for kind, tables in (("axis", file.axis), ("link", file.link)):
+        for name in (n for n in tables if n not in chain):
+            near = nearest(name, bare)
+            mistyped = f"{near} That name in a chain has no table" if "did you mean" in near else nearest(name, chain)
+            out.append(f"[{kind}.{name}] is in neither tool_chain nor work_chain{mistyped}")
     out += [
         f"[axis.{name}] and [link.{name}]: a link moves or is fixed, not both"
         for name in file.axis

@@ -1,12 +1,16 @@
 """Whitening and the search for the noise; oracles: dense linear algebra, and noise that was drawn."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from rtec.estimation import noise as noise_module
 from rtec.estimation.noise import Noise, Whitener, find_noise, minutes, noise_bounds
-from rtec.estimation.readings import read
+from rtec.estimation.readings import Readings, read
 from rtec.estimation.smoothing import Windows, smoothed, spline
 from rtec.estimation.whitening import drift_draws, gains, innovations, likelihood, noise_cost, walk
 from rtec.metrology.instruments.registry import make_instrument
@@ -113,6 +117,33 @@ def test_white_noise_has_no_drift() -> None:
     for noise in noises:
         assert noise.sigma * np.sqrt(1.0 + noise.drift) == pytest.approx(0.4, rel=0.1)
         assert noise.floor == pytest.approx(0.4, rel=0.12)
+
+
+def test_a_noise_that_was_searched_before_is_that_of_its_own_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: each search without a memory; a number, a place or a step changed gives a search of its own."""
+    monkeypatch.setattr(noise_module, "KEPT", 3)
+    searched: list[Noise] = []
+    search = noise_module._search
+
+    def counted(cost: Any, start: Noise, steps: int) -> Noise:
+        searched.append(search(cost, start, steps))
+        return searched[-1]
+
+    monkeypatch.setattr(noise_module, "_search", counted)
+    readings = read([drawn(29)])
+    line = np.linspace(-1.0, 1.0, len(readings))[:, None]
+    late = replace(readings, series=tuple(replace(s, time_s=1.5 * s.time_s) for s in readings.series))
+    asked: list[tuple[Readings, Floats, int]] = [
+        (readings, line[:, :0], 60), (readings, line, 60), (readings, line**3, 60), (readings, line, 20),
+        (late, line, 60),
+    ]  # fmt: skip
+    alone = [find_noise(r, base, steps).noises for r, base, steps in asked]
+    assert len(set(searched)) == len(searched) == len(asked) * len(readings.series)  # each is another
+    for (r, base, steps), noises in [*zip(asked, alone, strict=True), *zip(asked[::-1], alone[::-1], strict=True)]:
+        assert find_noise(r, base, steps).noises == noises
+    before = len(searched)
+    assert find_noise(*asked[0]).noises == alone[0]
+    assert len(searched) == before
 
 
 def test_whitened_noise_is_white() -> None:

@@ -76,12 +76,13 @@ def evidence(model: Model, measurements: Sequence[Measurement]) -> Answer:
 
 
 def improving(model: Model, measurements: Sequence[Measurement]) -> tuple[Model, list[Name], str]:
-    """The program's own improvement."""
+    """The program's own improvement; what it reports as the event of a record counts as found."""
     from rtec.diagnosis.extend.improve import improve
 
     done = improve(model, measurements)
     added = [Name.of(f.effect) for f in done.model.effects[len(model.effects) :]]
-    return done.model, added, done.reason
+    events = [Name(*e.label.rstrip(")").replace("(", ", ").split(", ")[:2]) for e in done.events]
+    return done.model, [*added, *events], done.reason
 
 
 def naive(model: Model, measurements: Sequence[Measurement]) -> Answer:

@@ -113,7 +113,15 @@ FAULTS: list[tuple[Callable[[Table], object], str]] = [
     (put("machine", "tool_chain", ["Z", "X", "tool", "X"]), "[machine] 'X' is twice in the chains"),
     (put("machine", "work_chain", ["spindle", "tool"]), "[machine] 'tool' is twice in the chains"),
     (put("axis", "Q", AXIS_Q), "[axis.Q] is in neither tool_chain nor work_chain; allowed: X, Z, spindle, tool"),
-    (put("link", "spindel", {}), "[link.spindel] is in neither tool_chain nor work_chain; did you mean 'spindle'?"),
+    (
+        put("link", "spindel", {}),
+        "[link.spindel] is in neither tool_chain nor work_chain; did you mean 'spindle'? That name in a chain has no "
+        "table",
+    ),
+    (
+        put("machine", "tool_chain", ["Z", "X", "tol"]),
+        "[link.tool] is in neither tool_chain nor work_chain; did you mean 'tol'? That name in a chain has no table",
+    ),
     (put("link", "X", {}), "[axis.X] and [link.X]: a link moves or is fixed, not both"),
     (
         put("machine", "tool_chain", []),
@@ -190,9 +198,14 @@ def write(folder: Path, content: bytes) -> Path:
         (b"a = " + b"[" * 100_000, "nested too deeply"),
         (b"a = " + b"9" * 5000, "not valid TOML: Exceeds the limit"),
         (b"a = 1\na = 2\n", "not valid TOML: Cannot overwrite a value (at line 2, column 6)"),
+        (
+            b"a = 1\nb = -5,25  # mm\n",
+            "not valid TOML: Expected newline or end of document after a statement (at line 2, column 7); a decimal "
+            "mark is a point: -5.25",
+        ),
         (b"", "key 'machine' is missing"),
     ],
-    ids=["not utf-8", "not toml", "nested", "number", "twice", "empty"],
+    ids=["not utf-8", "not toml", "nested", "number", "twice", "comma", "empty"],
 )
 def test_files_that_are_no_machine(tmp_path: Path, content: bytes, message: str) -> None:
     path = write(tmp_path, content)

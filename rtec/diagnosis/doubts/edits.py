@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import Doubt, Kind
 from rtec.effects import State
+from rtec.effects.cyclic import Cyclic
+from rtec.effects.expression import Expression
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
@@ -25,8 +27,9 @@ from rtec.wording import significant, sizes
 
 Floats = NDArray[np.float64]
 
-SHIFT, SHIFTS = 0.25, 101
-"""How far an origin may have moved, as a share of the travel, and number of places in the grid."""
+SHIFT, SHIFTS, SMOOTH = 0.25, 101, 41
+"""How far an origin may have moved, as a share of the travel; number of places in the grid, and where no effect of the
+model is a wave or a formula along the axis."""
 AS_GOOD = 1.1
 """An explanation whose residual is within this factor of another's is equally good."""
 GROWS = "something that grows shifts the readings as much"
@@ -388,7 +391,7 @@ class Edits:
                 return float(self.residuals([at(by_mm)])[0])
 
             low, high = self._room(axis)
-            by = self._place(moved, low, high) if high - low >= REAL["mm"] else None
+            by = self._place(axis, moved, low, high) if high - low >= REAL["mm"] else None
             if by is None:
                 continue
             edit = f"{axis.channel} moved by {significant(by, sign=True)} mm"
@@ -398,14 +401,16 @@ class Edits:
             where = f"the origin of {axis.name}"
             yield Edit(found, "moved_origin", edit, suspect, where, moved(by), unless="" if apart else GROWS)
 
-    def _place(self, at: "Callable[[float], Replaced]", low: float, high: float) -> float | None:
-        """The value between two bounds at which an edit leaves least: on a grid with few readings, then with all.
+    def _place(self, axis: Axis, at: Callable[[float], Replaced], low: float, high: float) -> float | None:
+        """The value between two bounds at which an edit of an axis leaves least: on a grid with few readings, then all.
 
         None where even that leaves so much of the residual that it is no fault of the record.
         """
         from scipy.optimize import minimize_scalar
 
-        grid = np.linspace(low, high, SHIFTS)
+        along = [f.effect for f in self.model.effects if axis.channel in f.effect.channels(self.model.machine)]
+        wavy = any(isinstance(e, Cyclic | Expression) for e in along)
+        grid = np.linspace(low, high, SHIFTS if wavy else SMOOTH)
         left = self._thin.residuals([at(v) for v in grid])
         if not left.min() < HOPEFUL * self._thin._current:
             return None
@@ -431,7 +436,7 @@ class Edits:
             beyond = BEYOND * (high - low)
             if last - first < REAL["mm"] or low - beyond + last > high + beyond + first:
                 continue
-            about = self._place(turned, low - beyond + last, high + beyond + first)
+            about = self._place(axis, turned, low - beyond + last, high + beyond + first)
             if about is None:
                 continue
             middle, found = self.residuals([turned(low + high), turned(about)])

@@ -18,6 +18,7 @@ There are two measurands, both of the tool relative to the workpiece, in machine
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -196,14 +197,25 @@ class AffineInstrument(Instrument):
 
     def arms(self, machine: Machine, pose_mm: Floats) -> Floats:
         """Lever arms, (readings, n, components)."""
-        affine = self.affine(machine)
+        affine = self._affine_once(machine)
         out = np.tensordot(affine[:, :, 1:], pose_mm, axes=(2, 1)).transpose(0, 2, 1)
         return np.asarray(out + affine[:, None, :, 0], dtype=np.float64)
 
     def arms_of(self, machine: Machine, pose_mm: Floats, component: str) -> Floats:
         """Lever arms of one component, (readings, n)."""
-        affine = self.affine(machine)[:, component_index(machine, component, self.name)]
+        affine = self._affine_once(machine)[:, component_index(machine, component, self.name)]
         return np.asarray(affine[:, 1:] @ pose_mm.T + affine[:, :1], dtype=np.float64)
+
+    @cached_property
+    def _affine_by_machine(self) -> dict[int, tuple[Machine, Floats]]:
+        return {}
+
+    def _affine_once(self, machine: Machine) -> Floats:
+        """As `affine`, computed once for a machine: a search asks thousands of times."""
+        known = self._affine_by_machine
+        if id(machine) not in known:
+            known[id(machine)] = machine, self.affine(machine)
+        return known[id(machine)][1]
 
 
 def point(machine: Machine, direction: Letter, offset_mm: Vector = ORIGIN) -> Floats:
