@@ -76,16 +76,21 @@ class CountTracker:
         axes: names of the axes.
         bits: width of the counters; 64: they do not wrap.
         max_counts_per_s: highest speed of each axis.
+        middle: middle of the travel of each axis, counts: the first reading is the position nearest to it, of those at
+            which the counter shows this number. Not given: zero, so that the number is a signed one.
     """
 
-    def __init__(self, axes: Sequence[str], bits: int, max_counts_per_s: Sequence[float]) -> None:
+    def __init__(
+        self, axes: Sequence[str], bits: int, max_counts_per_s: Sequence[float], middle: Sequence[int] = ()
+    ) -> None:
         self.lost, self.bits = "", bits
         self._axes, self._fastest = tuple(axes), tuple(max_counts_per_s)
+        self._middle = tuple(middle) or (0,) * len(self._axes)
         self._good: CounterReading | None = None
         self._refused: CounterReading | None = None
 
     def restart(self) -> None:
-        """Forget everything: the next reading is accepted as it is, as a signed number of that many bits."""
+        """Forget everything: the next reading is accepted as it is."""
         self.lost, self._good, self._refused = "", None, None
 
     def update(self, raw: Sequence[int], earliest_ns: int, latest_ns: int) -> tuple[int, ...]:
@@ -101,7 +106,7 @@ class CountTracker:
         if self.lost:
             raise DriverFault(self.lost)
         if self._good is None:
-            self._good = CounterReading(tuple(_signed(n, self.bits) for n in raw), earliest_ns, latest_ns)
+            self._good = CounterReading(self._near(raw, self._middle), earliest_ns, latest_ns)
             return self._good.values
         self._check_gap(self._good, latest_ns)
         reading = CounterReading(self._near(raw, self._good.values), earliest_ns, latest_ns)

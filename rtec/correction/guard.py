@@ -70,9 +70,15 @@ def cycle_s(time_ns: int, last_ns: int, longest_ns: int) -> float:
 
 
 @njit
+def not_ahead(time_ns: int, instant_ns: int) -> int:
+    """The instant of a reading; one of the future is of another clock, and counts as old as it is ahead."""
+    return min(instant_ns, 2 * time_ns - instant_ns)
+
+
+@njit
 def judge_counts(time_ns: int, latched_ns: int, max_age_ns: int) -> int:
     """Flag counts that were latched too long ago."""
-    return _STALE_COUNTS if time_ns - latched_ns > max_age_ns else 0
+    return _STALE_COUNTS if time_ns - not_ahead(time_ns, latched_ns) > max_age_ns else 0
 
 
 @njit

@@ -423,6 +423,10 @@ def reasons(device: Any, ability: Ability, error: DriverError) -> list[str]:
     return list(listed()) or [str(error)]
 
 
+HOLDS_AHEAD = "the correction would hold"
+OTHER_CLOCK = "its clock is another one than the loop's; a driver stamps its readings with clock.now_ns()"
+
+
 def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -> tuple[list[DeviceFault], list[str]]:
     """Counts that are too slow or too late for the loop; and remarks."""
     took = ability.took_ms()
@@ -438,7 +442,9 @@ def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -
     late = float(np.mean(np.asarray(readings.counts_age_s) > allowed_s))
     is_meant = f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?"
     enough = f"[guard] counts_max_age_s = {CYCLES_OF_AGE * cycle_ms * 1e-3:g}, {CYCLES_OF_AGE} cycles"
-    if age_s > allowed_s:
+    if age_s < -allowed_s:
+        faults.append(DeviceFault(f"counts are from the future, {-age_s:.3g} s ahead: {HOLDS_AHEAD}", (OTHER_CLOCK,)))
+    elif age_s > allowed_s:
         what = f"counts are {age_s * 1e3:.1f} ms old when they are read; the correction would hold"
         faults.append(DeviceFault(what, (is_meant,)))
     elif late > MANY_LATE:
@@ -464,7 +470,10 @@ def temperature_faults(patient: Patient, readings: DeviceReadings, now_ns: int) 
         if not low <= value.value <= high:
             what = f"{value.name}: {value.value:.1f} °C; the machine file's range_degc is {low:g} to {high:g} °C"
             out.append(DeviceFault(what, ("look at the sensor, its type and its wires; is it the right sensor?",)))
-        if value.age_s is not None and value.age_s > allowed_s:
+        if value.age_s is not None and value.age_s < -allowed_s:
+            what = f"{value.name}: from the future, {-value.age_s:.3g} s ahead: {HOLDS_AHEAD}"
+            out.append(DeviceFault(what, (OTHER_CLOCK,)))
+        elif value.age_s is not None and value.age_s > allowed_s:
             what = f"{value.name}: {value.age_s:.0f} s old; the correction would hold"
             out.append(DeviceFault(what, (f"[guard] temperature_max_age_s is {allowed_s:g} s: is that meant?",)))
     return out

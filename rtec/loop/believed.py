@@ -18,6 +18,18 @@ STEP_DEGC: Final = 2.0
 """Largest change, °C, from one reading to the next, however soon: coarse steps and noise are far below."""
 RATE_DEGC_PER_S: Final = 0.1
 """This much more, °C, for each second between them: parts of a machine warm more slowly."""
+AHEAD_NS: Final = 1_000_000_000
+"""A reading is from the future where its instant is later than now by more than this."""
+
+
+def ahead_in_words(instant_ns: int, now_ns: int) -> str:
+    """What to say of a reading from the future; "" of any other. The guard counts it as old as it is ahead."""
+    if instant_ns - now_ns <= AHEAD_NS:
+        return ""
+    return (
+        f"its readings are {(instant_ns - now_ns) * 1e-9:.2g} s ahead of the loop's clock: the driver, or the device, "
+        "stamps them by another clock than clock.now_ns(), so nobody knows how old they are"
+    )
 
 
 class BelievedTemperatures:
@@ -36,11 +48,11 @@ class BelievedTemperatures:
         self._judged = self._time_ns.tobytes()
         self._jumped: dict[str, str] = {}
 
-    def read(self, degc: FloatArray, time_ns: IntArray, used: Collection[str]) -> None:
+    def read(self, degc: FloatArray, time_ns: IntArray, used: Collection[str], now_ns: int) -> None:
         """Fill in what is new and believed, °C and instants, ns; `used` are the sensors that the model reads.
 
         Raises:
-            DriverError: the device's own; or a sensor jumped.
+            DriverError: the device's own; or a sensor jumped, or is from the future of `now_ns`.
         """
         wrong = []
         try:
@@ -53,6 +65,8 @@ class BelievedTemperatures:
                 if self._believable(i, used):
                     degc[i], time_ns[i] = self._degc[i], self._time_ns[i]
             self._judged = instants
+        if ahead := ahead_in_words(int(self._time_ns.max(initial=0)), now_ns):
+            wrong.append(ahead)
         if wrong or self._jumped:
             raise DriverFault("; ".join([*wrong, *self._jumped.values()]))
 
@@ -73,7 +87,7 @@ class BelievedTemperatures:
         if not low <= value <= high:  # the guard judges what is no temperature
             return True
         gone_s = int(self._time_ns[i] - self._believed_ns[i]) * 1e-9
-        allowed = STEP_DEGC + (0.0 if sensor.name in self._jumped else RATE_DEGC_PER_S * gone_s)
+        allowed = STEP_DEGC + (0.0 if sensor.name in self._jumped else RATE_DEGC_PER_S * max(gone_s, 0.0))
         if sensor.name in used and abs(value - last) > allowed:
             self._jumped.setdefault(
                 sensor.name,

@@ -17,7 +17,7 @@ import numpy as np
 
 from rtec.correction.flags import MODE_HOLD, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import DriverError
-from rtec.loop.believed import BelievedTemperatures
+from rtec.loop.believed import AHEAD_NS, BelievedTemperatures, ahead_in_words
 from rtec.loop.clock import Clock
 from rtec.loop.devices import Ports
 from rtec.loop.output import CommandGate
@@ -161,7 +161,7 @@ class Loop:
         """Run one cycle into a row; give the instant after the command was sent, ns."""
         clock, stats = self._clock, self.stats
         now_ns = clock.now_ns()
-        self._read()
+        self._read(now_ns)
         samples = row.samples
         mode = self._gate.look(self.step, MODE_HOLD if self._waiting.now or self._not_homed.now else self.mode, now_ns)
         taken_over = mode & ORDER_MASK == MODE_TAKEN_OVER
@@ -187,12 +187,14 @@ class Loop:
         stats.compute.add(end_ns - now_ns)
         return end_ns
 
-    def _read(self) -> None:
+    def _read(self, now_ns: int) -> None:
         """Read every source; a source that fails keeps its old value and time, and the guard judges the age."""
         ports = self._ports
         try:
             self._counts_time_ns = ports.counts.read_counts(self._device_counts)
             self._counts_trouble.now = False
+            if self._counts_time_ns > now_ns + AHEAD_NS:
+                self._counts_trouble.failed(ahead_in_words(self._counts_time_ns, now_ns))
             if why := self.zero.lost():
                 self._waiting.failed(why)
             if self._not_homed.now is self.zero.known:
@@ -202,7 +204,7 @@ class Loop:
             self._counts_trouble.failed(str(e))
         for source, trouble in self._temperatures:
             try:
-                source.read(self._degc, self._degc_time_ns, self.step.sensors)
+                source.read(self._degc, self._degc_time_ns, self.step.sensors, now_ns)
                 trouble.now = False
             except DriverError as e:  # the good values are in the arrays all the same
                 trouble.failed(str(e))

@@ -9,8 +9,9 @@ Where the actuator fails, or does not confirm a command for a quarter of a secon
 (OUTPUT_TROUBLE): the correction holds, whatever is ordered, and the row has the flag. The loop takes over the ledger of
 an actuator that fails. To an actuator that accepts commands without effect, it repeats the command, which differs from
 the actuator's output by one cycle's change at most. The loop goes on from there, from rest, when the command was
-accepted and confirmed. An actuator whose output matches no command has restarted, or something else wrote to it: its
-counts may have another meaning now. The loop takes over its ledger and waits for the order to resume.
+accepted and confirmed. An actuator whose output matches no command has restarted, or something else wrote to it, or it
+reads in another unit than it is commanded in: its counts may have another meaning now. The loop takes over its ledger,
+commands nothing more, not even that, and waits for the order to resume.
 """
 
 from typing import Final
@@ -39,8 +40,8 @@ def lost(step: Step, expected: IntArray, has: IntArray, allowed: IntArray, sourc
     if (np.abs(has - expected) <= allowed).all():
         return ""
     return (
-        f"the actuator has {in_words(step, has)}, {source} {in_words(step, expected)}: it restarted, and its output "
-        f"may mean something else now; {HOLDS}"
+        f"the actuator has {in_words(step, has)}, {source} {in_words(step, expected)}: it restarted, something else "
+        f"wrote to it, or it reads in another unit, and its output may mean something else now; {HOLDS}"
     )
 
 
@@ -70,7 +71,7 @@ class CommandGate:
         self._allowed: IntArray | None = None
         self._step: Step | None = None
         self._last = self.has
-        self._known = self._failed = self._in_trouble = self._far = False
+        self._known = self._failed = self._in_trouble = self._far = self._foreign = False
         self._unconfirmed_ns: int | None = None
 
     @property
@@ -86,6 +87,7 @@ class CommandGate:
             allowed: by axis; both None: any ledger is accepted.
         """
         self.takes_over, self._expected, self._allowed = self._present, expected, allowed
+        self._foreign = False
 
     def look(self, step: Step, order: int, now_ns: int) -> int:
         """Read the actuator's output before a cycle; give the cycle's mode.
@@ -129,16 +131,17 @@ class CommandGate:
             )
         begins, self._in_trouble = not self._in_trouble, True
         if changed:
+            self._foreign = True
             self._waiting.failed(changed)
-        if changed or (begins and self._failed and not confirmed):
+        if self._foreign or (begins and self._failed and not confirmed):
             step.resume(self.has)
             self._far = False
             return MODE_TAKEN_OVER | OUTPUT_TROUBLE
         return order | OUTPUT_TROUBLE
 
     def send(self, output: IntArray) -> None:
-        """Command the cycle's output, unless it is too far from the actuator's output."""
-        if self.takes_over or self._far or not self._known:
+        """Command the cycle's output, unless it is too far from the actuator's output, or that is nobody's command."""
+        if self.takes_over or self._far or self._foreign or not self._known:
             return
         try:
             self._actuator.apply(output)
@@ -155,6 +158,7 @@ class CommandGate:
         if self._expected is not None and self._allowed is not None:
             why = lost(step, self._expected, self.has, self._allowed)
             if why:
+                self._foreign = True
                 self._waiting.failed(why)
         return MODE_TAKEN_OVER
 

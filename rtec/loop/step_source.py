@@ -18,7 +18,7 @@ from rtec.model.kernel.write import EXTRA_ARRAYS, KernelSource
 IMPORTS = """
 from rtec.correction.guard import (
     cycle_s, decide, judge_age, judge_counts, judge_mode, judge_range, judge_request, judge_sensor, judge_spindle,
-    known, may_command, move, within_sink,
+    known, may_command, move, not_ahead, within_sink,
 )
 from rtec.correction.guard import ledger_update
 from rtec.effects.derived import direction_update, lag_update, motion_update, reversal_update, since_reversal
@@ -29,7 +29,7 @@ from rtec.model.kernel.build import sin_cos
 
 SENSOR = """\
 slow_why[0] |= judge_sensor(degc[n, {s}], s_low[{s}], s_high[{s}], u_low[{s}], u_high[{s}])
-oldest[0] = min(oldest[0], degc_time_ns[n, {s}])
+oldest[0] = min(oldest[0], not_ahead(t, degc_time_ns[n, {s}]))
 """
 
 SPINDLE = "slow_why[0] |= judge_spindle(spindle_rpm[n], u_low[{s}], u_high[{s}])"

@@ -114,6 +114,9 @@ def test_what_is_read_is_judged() -> None:
     """Oracle: the limits written down here; each end of a range is inside."""
     assert [guard.judge_counts(10 * S, 10 * S - age, 5) for age in (5, 6)] == [0, Flag.STALE_COUNTS]
     assert [guard.judge_age(10 * S, 10 * S - age, 5) for age in (5, 6)] == [0, Flag.STALE_TEMPERATURE]
+    # Of the future: as old as it is ahead, so that a device of another clock that falls silent is never fresh.
+    assert [guard.judge_counts(10 * S, 10 * S + ahead, 5) for ahead in (5, 6)] == [0, Flag.STALE_COUNTS]
+    assert [guard.not_ahead(10, instant) for instant in (3, 10, 12)] == [3, 10, 8]
     outside = Flag.OUT_OF_RANGE
     assert [guard.judge_range(x, 1.0, 2.0) for x in (0.9, 1.0, 2.0, 2.1)] == [outside, 0, 0, outside]
     degc = {NAN: Flag.STALE_TEMPERATURE, -0.1: Flag.SENSOR_FAULT, 90.1: Flag.SENSOR_FAULT, 9.9: outside, 60.1: outside}

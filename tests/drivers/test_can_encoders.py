@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import Any
 
 import can
@@ -11,6 +12,7 @@ import pytest
 
 from rtec.errors import ConfigError, DriverFault, DriverTimeout
 from rtec.loop.clock import VirtualClock
+from rtec.machine import Machine
 from rtec.tomlfile import validated
 from rtec_drivers.can.encoders import CanEncoderOptions, CanEncodersDriver
 from tests.support.can_peer import CLOCK, MS, frame, new_channel
@@ -72,8 +74,13 @@ def table(channel: str, **more: Any) -> dict[str, Any]:
     return {"interface": "virtual", "channel": channel, "axis": axes, "timeout_ms": PATIENT_MS, **more}
 
 
-def driver(channel: str, **more: Any) -> CanEncodersDriver:
-    return CanEncodersDriver(validated(CanEncoderOptions, table(channel, **more), "run.toml"), MACHINE, CLOCK)
+def driver(channel: str, machine: Machine = MACHINE, **more: Any) -> CanEncodersDriver:
+    return CanEncodersDriver(validated(CanEncoderOptions, table(channel, **more), "run.toml"), machine, CLOCK)
+
+
+def travelling(low_mm: float, high_mm: float) -> Machine:
+    """The machine with another travel; 2000 counts a mm."""
+    return replace(MACHINE, axes=tuple(replace(a, travel_mm=(low_mm, high_mm)) for a in MACHINE.axes))
 
 
 def cycle(device: CanEncodersDriver) -> tuple[tuple[int, ...], int]:
@@ -139,13 +146,27 @@ def test_counters_go_round(channel: str, bits: int) -> None:
     with encoders(channel, bits) as fake:
         fake.position = [2 ** (bits - 1) - 500, -(2 ** (bits - 1)) + 500]
         fake.step = [40, -40]
-        with driver(channel, bits=bits) as device:
+        with driver(channel, travelling(-10.0, 10.0), bits=bits) as device:
             start = first(device)
             seen = [cycle(device)[0] for _ in range(60)][-1]
             assert seen[0] > 2 ** (bits - 1)
             assert seen[1] < -(2 ** (bits - 1))
             assert (seen[0] - start[0]) % 40 == 0
             assert seen[0] - start[0] == start[1] - seen[1]
+
+
+@pytest.mark.parametrize(
+    ("travel_mm", "at"), [((0.0, 32.0), (50_000, 5)), ((-32.0, 0.0), (-50_000, -5)), ((-16.0, 16.0), (-15_536, 5))]
+)
+def test_a_start_is_within_the_travel(channel: str, travel_mm: tuple[float, float], at: tuple[int, int]) -> None:
+    """Of 16 bits: unsigned, below zero, signed. Oracle: the only position within the travel that shows this number."""
+    with encoders(channel, 16) as fake, driver(channel, travelling(*travel_mm), bits=16) as device:
+        fake.position = list(at)
+        assert until(lambda: first(device) == at)
+    with pytest.raises(
+        ConfigError, match=r"axis 'X': a counter of 16 bits goes round within its travel, 400000 counts"
+    ):
+        driver(channel, bits=16)
 
 
 def test_one_encoder_that_is_silent_is_told_and_comes_back(channel: str) -> None:

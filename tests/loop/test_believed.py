@@ -45,7 +45,7 @@ class Board:
         self.now_ns += round(after_s * S)
         self.values.update({{"a": A, "b": B, "unused": UNUSED}[name]: value for name, value in values.items()})
         try:
-            self.believed.read(self.degc, self.time_ns, USED)
+            self.believed.read(self.degc, self.time_ns, USED, self.now_ns)
         except DriverError as e:
             return str(e)
         return ""
@@ -168,4 +168,4 @@ def test_the_error_is_a_fault_of_the_sensor() -> None:
     board.values[A] = 40.0
     board.now_ns += S
     with pytest.raises(DriverFault):
-        board.believed.read(board.degc, board.time_ns, USED)
+        board.believed.read(board.degc, board.time_ns, USED, board.now_ns)

@@ -6,14 +6,19 @@ Oracles: the same run with a calendar that stands still; the source text, for wh
 import ast
 import random
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from rtec.correction.flags import Flag, GuardSettings
 from rtec.loop.clock import RealClock, VirtualClock, wall_clock_ns
+from rtec.loop.devices import Ports
+from rtec.loop.ports import FloatArray, IntArray
 from tests.loop.test_loop import run
 from tests.support.setups import setup
 
+S = 10**9
 ROOT = Path(__file__).parents[2]
 CALENDAR = {"wall_clock_ns", "wall_clock_iso"}
 ROOMS = ("correction", "model", "effects", "loop", "log", "daemon", "control", "doctor", "replay")
@@ -34,6 +39,35 @@ def test_commands_do_not_change_when_the_calendar_jumps(tmp_path: Path, monkeypa
     _, jumping, _, _ = run(setup(tmp_path / "b"), VirtualClock(10**9), 2000)
     for name, array in still.arrays().items():
         assert array.tobytes() == getattr(jumping, name).tobytes(), name
+
+
+@pytest.mark.parametrize("ahead_ns", [10 * S, 1_700_000_000 * S], ids=["seconds", "the calendar"])
+@pytest.mark.parametrize("what", ["counts", "temperatures"])
+def test_a_device_of_another_clock_is_never_fresh(tmp_path: Path, what: str, ahead_ns: int) -> None:
+    """It stamps by a clock that is ahead, and falls silent: it holds from the beginning. Oracle: the flags."""
+    flag = {"counts": Flag.STALE_COUNTS, "temperatures": Flag.STALE_TEMPERATURE}[what]
+
+    def wrapped(ports: Ports) -> Ports:
+        counts, temperatures = ports.counts, ports.temperatures[0]
+
+        class Ahead:
+            def read_counts(self, values: IntArray) -> int:
+                return counts.read_counts(values) + ahead_ns
+
+            def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+                temperatures.read_temperatures(degc, time_ns)
+                time_ns += ahead_ns
+
+        return replace(ports, counts=Ahead()) if what == "counts" else replace(ports, temperatures=(Ahead(),))
+
+    made = setup(tmp_path)
+    made = replace(made, file=made.file.model_copy(update={"guard": GuardSettings(temperature_max_age_s=5.0)}))
+    _, commands, loop, _ = run(made, VirtualClock(S), 500, wrapped)
+    held = int(flag | Flag.HELD)
+    assert ((commands.flags & held) == held)[1:].all()
+    assert not commands.output.any()
+    said = [text for texts in loop.stats.reasons().values() for text in texts]
+    assert any("ahead of the loop's clock" in text for text in said), said
 
 
 def test_real_time_is_monotonic(monkeypatch: pytest.MonkeyPatch) -> None:

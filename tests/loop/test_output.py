@@ -4,6 +4,7 @@ Every actuator driver with every fault, on a virtual clock; counts stay fresh, t
 the machine behind the driver, which notes what it had whenever it took a command; and the limits of the run file.
 """
 
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -145,6 +146,36 @@ def test_a_command_is_never_further_than_one_cycle_from_what_the_machine_has(
     assert np.abs(run.commands.output[run.done - 1] - rig.has()).max() <= MOST_COUNTS
     assert run.loop.stats.reasons() == {}
     run.check(made, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [lambda told: [2 * n for n in told], lambda told: [n + 6 for n in told]],
+    ids=["in diameter", "another adds"],
+)
+def test_a_machine_that_has_another_output_than_the_command_gets_no_more_commands(
+    monkeypatch: pytest.MonkeyPatch, made: Setup, tmp_path: Path, answer: Callable[[list[int]], list[int]]
+) -> None:
+    """Oracle: the machine: whoever commands what it reads back, commands twice as much each time, or 3 µm more."""
+    rig = SimRig(monkeypatch)
+    rig.move([100_000, 300_000])
+    with closing(rig), rig.driver:
+        run = Run(rig, made)
+        run.cycles(WELL)
+        rig.answer = answer
+        run.cycles(5)
+        had, told = rig.has(), len(rig.taken)
+        bad = run.cycles(BAD)
+        assert rig.has() == had
+        assert len(rig.taken) - told < 5  # until it showed
+        assert run.loop.waits
+        assert (run.commands.output[bad][-1] == had).all()  # the log has what the machine has
+        rig.answer = list
+        run.loop.order_resume()
+        run.cycles(AFTER)
+        assert not run.loop.waits
+        assert len({tuple(told) for _, told in rig.taken[-AFTER:]}) > 10, "it follows again"
+        run.check(made, tmp_path)
 
 
 @pytest.mark.parametrize("pause_ms", [80, 3000])

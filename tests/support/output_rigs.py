@@ -121,12 +121,14 @@ class SimRig(OutputRig):
                 while rig._late and rig._late[0][0] <= rig.clock.now_ns():
                     told = rig._late.popleft()[1]
                     rig.taken.append((self._output.tolist(), told))
-                    super().apply(np.array(told, np.int64))
+                    super().apply(np.array(rig.answer(told), np.int64))
 
             def lose(self) -> None:
                 self._output[:] = 0
 
         self.position = [0, 0]
+        self.answer: Callable[[list[int]], list[int]] = list
+        """What the machine has after a command, by its own account."""
         self.driver = Driver(validated(SimOptions, table, "run.toml"), MACHINE, self.clock, CONFIGS)
 
     def move(self, counts: list[int]) -> None:

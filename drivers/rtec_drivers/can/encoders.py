@@ -11,7 +11,7 @@ from pydantic import Field
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout
 from rtec.loop.clock import Clock
 from rtec.loop.ports import Scanner
-from rtec.machine import Machine
+from rtec.machine import Axis, Machine
 from rtec.quantities import MillimetresPerSecond
 from rtec.tomlfile import nearest, validated
 from rtec_drivers.can.bus import CanOptions, CanPort, LongestAge
@@ -114,10 +114,17 @@ max_speed_mm_s = 500
             for n, s in zip(names, self._sources, strict=True)
             if options.bits > s.bits
         ]
+        wrong += [
+            f"axis {a.name!r}: a counter of {options.bits} bits goes round within its travel, "
+            f"{_span(a):.0f} counts: its position would be ambiguous"
+            for a in machine.axes
+            if _span(a) >= 2**options.bits
+        ]
         if wrong:
             raise ConfigError("\n".join(wrong))
         fastest = [options.axis[a.name].max_speed_mm_s * a.counts_per_mm for a in machine.axes]
-        self._tracker = CountTracker(names, options.bits, fastest)
+        middle = [round(0.5 * sum(a.travel_mm) * a.counts_per_mm) for a in machine.axes]
+        self._tracker = CountTracker(names, options.bits, fastest, middle)
         self._nodes = NodeWatch(list(options.node.values()))
         filters = {(s.identifier, s.extended) for s in self._sources} | set(self._nodes.identifiers())
         self._port = CanPort(options, clock, sorted(filters), self._frame)
@@ -223,3 +230,8 @@ max_speed_mm_s = 500
         return (
             f"can_encoders: no new positions within {self._longest.ns * 1e-6:.3g} ms (waiting for {', '.join(missing)})"
         )
+
+
+def _span(axis: Axis) -> float:
+    """Travel of an axis, counts."""
+    return (axis.travel_mm[1] - axis.travel_mm[0]) * abs(axis.counts_per_mm)

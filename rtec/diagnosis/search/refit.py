@@ -624,14 +624,18 @@ class Refits:
     def _distinct(self, found: Screen) -> list[int]:
         """Candidates by evidence, each shape of an effect once: the most direct of the components that the readings
         cannot separate represents all.
+
+        By another sensor an effect may have the same shape at a value of the grid, and another one at its own value.
         """
         machine, out = self.readings.machine, []
-        shapes_of: dict[str, list[Floats]] = {}
+        shapes_of: dict[tuple[str, frozenset[str]], list[Floats]] = {}
         for i in sorted(found.order[:DISTINCT], key=lambda i: (-round(found.score[i], 3),
                         directness(self.candidates[i].effect, machine))):  # fmt: skip
             mine = found.contribution(i)
             mine /= max(float(np.sqrt(mine @ mine)), 1e-300)
-            same = shapes_of.setdefault(self.candidates[i].effect.effect, [])
+            effect = self.candidates[i].effect
+            read = frozenset(effect.channels(machine) if effect.nonlinear(machine) else ())
+            same = shapes_of.setdefault((effect.effect, read), [])
             if all(abs(float(mine @ other)) < ONE for other in same):
                 same.append(mine)
                 out.append(i)
