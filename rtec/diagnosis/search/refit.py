@@ -356,6 +356,12 @@ class Refits:
         theta = self._polished(number, variant.theta, found.projected.whitener, base)
         columns = self._columns(number, theta)
         fit = self.fit(np.concatenate([base, columns], axis=1))
+        again = self._polished(number, variant.theta, fit.whitener, base)
+        if again != theta:
+            other = self._columns(number, again)
+            refit = self.fit(np.concatenate([base, other], axis=1))
+            if refit.log_likelihood > fit.log_likelihood:
+                theta, columns, fit = again, other, refit
         cost = self._cost(columns, variant.count) + found.search_cost(number) + self._choice_cost(number)
         return theta, columns, fit, fit.log_likelihood - cost
 
