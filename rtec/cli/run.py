@@ -310,5 +310,5 @@ def replay(
         print_json(result.to_dict())
     else:
         typer.echo("\n".join(replay_lines(result)))
-    if not result.identical:
+    if not result.well:
         raise typer.Exit(1)

@@ -13,6 +13,7 @@ import numpy as np
 
 from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.ring import Ring
+from rtec.loop.ports import HOLDS
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 from rtec.text import joined, without_numbers
 
@@ -206,7 +207,9 @@ Tell = Callable[[str, str], None]
 
 
 MOST_REASONS: Final = 5
-"""An alarm tells so many different reasons at most."""
+"""An alarm tells so many different reasons at most,"""
+MOST_WAITING: Final = 50
+"""and so many where one of them waits for an order: nothing goes on before somebody reads it."""
 
 
 @dataclass
@@ -252,7 +255,8 @@ class Alarms:
             alarm.last_ns, says = now_ns, without_numbers(text)
             if any(known.startswith(says) for known in alarm.texts):
                 continue  # the newest row was good again: the flag without its cause is no news
-            if says not in alarm.texts and len(alarm.texts) < MOST_REASONS:
+            most = MOST_WAITING if HOLDS in text else MOST_REASONS
+            if says not in alarm.texts and len(alarm.texts) < most:
                 alarm.texts[says] = text
                 self._tell("alarm", text)
         for key, alarm in list(self._going_on.items()):

@@ -24,6 +24,8 @@ from rtec.loop.clock import Clock, wall_clock_ns
 from rtec.loop.state_files import boot_id
 
 WRITTEN: Final = ".arrows"
+REPLAYED: Final = ".replay"
+"""End of the stem of what `rtec replay` writes beside a log: commands of another model, which no daemon gave."""
 _NAME: Final = re.compile(r"(?P<stem>.*?)(-(?P<run>\d{6,}))?-(?P<date>\d{8}T\d{6}Z)(-(?P<file>\d{1,7}))?", re.ASCII)
 
 
@@ -54,7 +56,10 @@ def place_of(path: Path) -> LogPlace:
 def log_files(folder: Path) -> list[Path]:
     """All logs of a folder, by name, oldest first; where both forms of a log exist, the written one."""
     try:
-        logs = [p for p in folder.iterdir() if p.suffix in (WRITTEN, PACKED) and not p.name.startswith(".")]
+        logs = [
+            p for p in folder.iterdir()
+            if p.suffix in (WRITTEN, PACKED) and not p.name.startswith(".") and not p.stem.endswith(REPLAYED)
+        ]  # fmt: skip
     except OSError:
         return []
     return sorted((p for p in logs if p.suffix == WRITTEN or p.with_suffix(WRITTEN) not in logs), key=place_of)

@@ -14,6 +14,7 @@ from rtec.result import columns_of, is_frame
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
+ABSOLUTE_ZERO_DEGC = -273.15
 
 
 class Described(Protocol):
@@ -71,8 +72,8 @@ def state_at(model: Described, given: Any, channels: Mapping[str, ArrayLike]) ->
     if given is not None and not frame and not isinstance(given, Mapping):
         raise ModelError(f"predict: a {type(given).__name__} is neither a dict nor a frame with named columns")
     items = columns_of(given) if frame else dict(given or {})
-    values = {names[k]: _numbers(k, v) for k, v in items.items() if k in names or (not frame and _refused(k, names))}
-    values |= {names[k]: _numbers(k, v) for k, v in channels.items() if k in names or _refused(k, names)}
+    known = {k: v for k, v in items.items() if not frame or k in names}
+    values = _values(model.machine, names, known) | _values(model.machine, names, channels)
     single = not frame and all(v.ndim == 0 for v in values.values())
     lengths = {k: len(v) for k, v in values.items() if v.ndim}
     if len(set(lengths.values())) > 1:
@@ -95,10 +96,6 @@ def _names(machine: Machine) -> dict[str, str]:
     return out
 
 
-def _refused(name: str, names: Mapping[str, str]) -> bool:
-    raise ModelError(f"predict: {name!r} is no channel of this machine{nearest(name, names)}")
-
-
 def _numbers(name: str, value: Any) -> Floats:
     try:
         out = np.asarray(value, dtype=np.float64)
@@ -109,6 +106,33 @@ def _numbers(name: str, value: Any) -> Floats:
     if not np.isfinite(out).all():
         raise ModelError(f"predict: {name} has a value that is no finite number")
     return out
+
+
+def _values(machine: Machine, names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, Floats]:
+    """The values of each channel, from names that each stand for another one."""
+    called: dict[str, str] = {}
+    out: dict[str, Floats] = {}
+    for name, value in given.items():
+        if name not in names:
+            raise ModelError(f"predict: {name!r} is no channel of this machine{nearest(name, names)}")
+        channel = names[name]
+        if channel in called:
+            raise ModelError(f"predict: {called[channel]} and {name} are the same channel; give one of them")
+        called[channel], out[channel] = name, _possible(name, _numbers(name, value), channel, machine)
+    return out
+
+
+def _possible(name: str, values: Floats, channel: str, machine: Machine) -> Floats:
+    """The values of a channel.
+
+    Raises:
+        ModelError: a direction that is none, or a temperature below absolute zero.
+    """
+    if any(channel == a.direction_channel for a in machine.axes) and not np.isin(values, (-1.0, 0.0, 1.0)).all():
+        raise ModelError(f"predict: {name} must be 1, -1, or 0 where it is unknown")
+    if channel in machine.sensor_names and np.any(values < ABSOLUTE_ZERO_DEGC):
+        raise ModelError(f"predict: {name} is below absolute zero; temperatures are in °C")
+    return values
 
 
 def _check_needed(model: Described, state: State, *, timed: bool) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtec.correction.flags import MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import ConfigError, LogError
 from rtec.files import check_named
-from rtec.log.folder import log_files
+from rtec.log.folder import REPLAYED, log_files
 from rtec.log.format import Log
 from rtec.log.reader import open_log
 from rtec.log.writer import LogWriter
@@ -283,7 +283,12 @@ class Replayed(Result):
 
     @property
     def identical(self) -> bool:
-        """Was everything read, and is every compared command identical to the logged one?"""
+        """Were the commands compared, all of them, and is each identical to the logged one?"""
+        return self.checked and self.well
+
+    @property
+    def well(self) -> bool:
+        """Was everything read, and was no difference found? Where nothing was compared, none is."""
         return isinstance(self.report, CaptureReport) or not (self.report.different or self.report.unread)
 
     def facts(self) -> dict[str, Any]:
@@ -317,5 +322,5 @@ def replayed(
         check_named(target, LogError)
         return Replayed(replay_capture(setup, log, target, target.with_suffix(".csv"), tell), checked=False)
     checked = check or log.is_dir()
-    target_log = out or (None if checked else log.with_name(f"{log.stem}.replay.arrows"))
+    target_log = out or (None if checked else log.with_name(f"{log.stem}{REPLAYED}.arrows"))
     return Replayed(replay_logs(setup, log, target_log, checked, tell), checked)

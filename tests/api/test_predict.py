@@ -74,12 +74,22 @@ def test_directions_follow_from_the_order() -> None:
         ({"X": "far", "T_bed": 20.0, "dir_X": 1}, "X: could not convert"),
         ({"X": float("nan"), "T_bed": 20.0, "dir_X": 1}, "X has a value that is no finite number"),
         ({"X": [[1.0]], "T_bed": 20.0, "dir_X": 1}, "X has 2 dimensions"),
+        ({"X": 1.0, "T_bed": 20.0, "dir_X": 2}, "dir_X must be 1, -1, or 0 where it is unknown"),
+        ({"X": 1.0, "T_bed": -300.0, "dir_X": 1}, "T_bed is below absolute zero; temperatures are in °C"),
+        ({"X": 1.0, "x_mm": 2.0, "T_bed": 20.0, "dir_X": 1}, "X and x_mm are the same channel; give one of them"),
     ],
 )
 def test_what_is_wrong_is_named(given: dict[str, object], said: str) -> None:
     """Oracle: the word that was wrong, and a way on."""
     with pytest.raises(ModelError, match=said.replace("(", r"\(")):
         model(SCALE, PLAY, GROWTH).predict(**given)  # type: ignore[arg-type]
+
+
+def test_words_beside_a_dict_replace_its_values() -> None:
+    """Oracle: the value alone, by whichever of its names."""
+    at = {"X": 50.0, "T_bed": 20.0, "dir_X": 1}
+    m = model(SCALE, PLAY, GROWTH)
+    np.testing.assert_array_equal(m.predict(at, x_mm=100.0), m.predict({**at, "X": 100.0}))
 
 
 def test_an_axis_that_turns_no_lever_is_not_asked_for() -> None:

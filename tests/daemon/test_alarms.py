@@ -5,6 +5,7 @@ import threading
 from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.process import WAITING, LinePrinter
 from rtec.daemon.status import MOST_REASONS, QUIET_NS, START_NS, Alarms
+from rtec.loop.ports import HOLDS
 from rtec.text import joined
 
 S = 1_000_000_000
@@ -93,6 +94,8 @@ def test_reasons_without_end_are_no_flood() -> None:
     for k in range(20):
         made.look(FIRST + k * S, Flag(0), {"odd": ["x" * k]})
     assert len(told) == MOST_REASONS
+    made.look(FIRST + 20 * S, Flag(0), {"odd": [f"it restarted; {HOLDS}"]})
+    assert told[MOST_REASONS:] == [("alarm", f"device odd: it restarted; {HOLDS}")], "an order is waited for"
 
 
 def test_a_clause_of_two_reasons_is_said_once() -> None:

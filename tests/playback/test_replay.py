@@ -19,7 +19,7 @@ from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.step import Step
 from rtec.playback import sigrok
 from rtec.playback.capture import replay_capture
-from rtec.playback.replay import Replayed, replay_log, replay_logs
+from rtec.playback.replay import Replayed, replay_log, replay_logs, replayed
 from rtec.report.playback import replay_lines
 from tests.loop.test_loop import run
 from tests.support import setups
@@ -134,6 +134,21 @@ def test_rows_behind_a_gap_are_not_called_different(tmp_path: Path) -> None:
     assert "nothing can be checked" in gap.notes[0]
     hidden = replay_log(made, tmp_path / "hidden.arrows", check=True)
     assert (hidden.unchecked, hidden.different > 0) == (0, True)
+
+
+def test_what_a_replay_wrote_is_no_log_of_the_folder(tmp_path: Path) -> None:
+    """Oracle: the logs that were there before; the commands of another run file, which differ, are beside them."""
+    made, log = logged(tmp_path, 300)
+    lower = made.path.with_name("lower.toml")
+    text = made.path.read_text(encoding="utf-8")
+    lower.write_text(text.replace("slew_um_s = 50", "slew_um_s = 20"), encoding="utf-8")
+    assert text != lower.read_text(encoding="utf-8")
+    alone = replayed(lower, log, None, check=False)
+    assert (tmp_path / "run.replay.arrows").exists()
+    assert (alone.checked, alone.identical, alone.well) == (False, False, True), "nothing was compared"
+    assert not replayed(lower, log, None, check=True).well
+    whole = replayed(made.path, tmp_path, None, check=True)
+    assert (whole.identical, whole.report.rows) == (True, 300)  # type: ignore[union-attr]
 
 
 def test_another_machine_is_refused(tmp_path: Path) -> None:
