@@ -49,7 +49,7 @@ from rtec.effects.reversal import (
     Stribeck,
 )
 from rtec.effects.spindle import SpindleGrowth, SpindleSpeedShift, SpindleTilt
-from rtec.effects.state import State
+from rtec.effects.state import State, Value
 from rtec.effects.thermal import (
     AmbientDrift,
     AxisExpansion,
@@ -69,6 +69,11 @@ SKIPPED: dict[type[Effect], str] = {}
 MOST = 1000
 """Largest number of instances of a plug-in for one component error."""
 INSTANTS = 4
+ARITHMETIC = (
+    "add", "subtract", "multiply", "divide", "power", "negative", "absolute", "sin", "cos", "exp", "log", "sqrt",
+    "tanh", "minimum", "maximum", "square", "reciprocal", "positive",
+)  # fmt: skip
+"""Functions of numpy that the loop's kernel has."""
 
 
 class PlugInWarning(UserWarning):
@@ -133,8 +138,9 @@ def fault_of(effect: Effect, machine: Machine) -> str:
         method = "channels"
         unknown = [c for c in effect.channels(machine) if c not in machine.channel_names]
         method = "basis"
+        state = _Trial(_instants(machine))
         with np.errstate(all="ignore"):
-            values = list(effect.basis(machine, _instants(machine), {p.name: p.start for p in free}))
+            values = list(effect.basis(machine, state, {p.name: p.start for p in free}))
             shapes = [np.broadcast_shapes(np.asarray(v, dtype=np.float64).shape, (INSTANTS,)) for v in values]
     except ModelError:
         return ""  # an effect may refuse a machine that it does not fit
@@ -148,6 +154,10 @@ def fault_of(effect: Effect, machine: Machine) -> str:
         return f"basis() gives {len(values)} values for {len(linear)} coefficients"
     if any(shape != (INSTANTS,) for shape in shapes):
         return "basis() gives arrays of another length than the channels have"
+    if not all(np.isfinite(np.asarray(v, dtype=np.float64)).all() for v in values):
+        return "basis() gives values that are no finite numbers within the travel, at 20 °C and more"
+    if unlisted := sorted(state.read - set(effect.channels(machine))):
+        return f"basis() reads channel {unlisted[0]!r}, which channels() does not list"
     return ""
 
 
@@ -160,6 +170,41 @@ def check_effect(effect: Effect, machine: Machine, where: str) -> None:
     if fault := fault_of(effect, machine):
         raise ModelError(f"{where}: effect {effect.effect!r} of a plug-in, {type(effect).__module__}: {fault}")
     effect.check(machine, where)
+
+
+class _Watched(np.ndarray[Any, np.dtype[np.float64]]):
+    """Values that know the loop's arithmetic only: what the kernel cannot compute is no effect."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        if method != "__call__" or set(kwargs) - {"out"} or ufunc.__name__ not in ARITHMETIC:
+            raise TypeError(f"np.{ufunc.__name__} is none of the loop's arithmetic: {', '.join(ARITHMETIC)}")
+        return ufunc(*(np.asarray(i) for i in inputs)).view(_Watched)
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        raise TypeError(f"np.{func.__name__} is none of the loop's arithmetic: {', '.join(ARITHMETIC)}")
+
+    def __bool__(self) -> bool:
+        raise TypeError("asks whether a channel is true; write it without `if`, with np.minimum and np.maximum")
+
+
+class _Trial:
+    """Channels for a trial of a plug-in; records which are read."""
+
+    def __init__(self, state: State) -> None:
+        self.state, self.read = state, set[str]()
+
+    def value(self, name: str) -> Value:
+        """Give a channel."""
+        self.read.add(name)
+        return self.state.value(name).view(_Watched)
+
+    def rise(self, sensor: str) -> Value:
+        """Temperature above the reference, K."""
+        return self.value(sensor) - self.state.reference_degc
+
+    def lagged(self, value: Value, tau_s: Value) -> Value:
+        """First-order lag."""
+        return self.state.lagged(np.asarray(value), tau_s).view(_Watched)
 
 
 def _instants(machine: Machine) -> State:
@@ -233,7 +278,7 @@ def _load(entry: EntryPoint) -> type[Effect] | str:
     """The class, or why it cannot be used."""
     try:
         kind = entry.load()
-    except Exception as e:  # noqa: BLE001 - somebody else's module may fail in any way, and only its effect is lost
+    except (Exception, SystemExit) as e:  # noqa: BLE001 - somebody else's module may fail in any way, and only its effect is lost
         return f"cannot be loaded: {type(e).__name__}: {e}"
     return _fault(kind, entry.name) or kind
 

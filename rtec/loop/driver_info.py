@@ -124,7 +124,7 @@ def _of(entry: EntryPoint) -> list[Installed]:
         value: Any = entry.load()
     except ImportError as e:
         return [Installed(entry.name, entry.module, entry.attr, package, _cannot(e, package))]
-    except Exception as e:  # noqa: BLE001 - a package's own code may raise anything while it is imported
+    except (Exception, SystemExit) as e:  # noqa: BLE001 - a package's own code may raise anything while it is imported
         fault = f"cannot be imported: {type(e).__name__}: {e}"
         return [Installed(entry.name, entry.module, entry.attr, package, fault)]
     if isinstance(value, type):

@@ -14,11 +14,12 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.effects import EFFECTS, all_effects, effect_class
-from rtec.effects.registry import PlugInWarning, plug_in_faults
+from rtec.effects.registry import ARITHMETIC, PlugInWarning, plug_in_faults
 from rtec.errors import ModelError
 from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
 from rtec.model import Model
+from rtec.model.kernel.trace import SHORT, UFUNCS
 from rtec.report.effects import OTHERS, catalogue_page, families
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
@@ -90,6 +91,7 @@ FAULTS = (
     ("gone", "pkg_bad:Two", GOOD.format(name="One", effect="gone"), "cannot be loaded: AttributeError"),
     ("torn", "pkg_bad:One", "def (", "cannot be loaded: SyntaxError"),
     ("torn", "pkg_bad:One", "raise RuntimeError('no licence')", "cannot be loaded: RuntimeError: no licence"),
+    ("torn", "pkg_bad:One", "raise SystemExit(5)", "cannot be loaded: SystemExit: 5"),
     ("number", "pkg_bad:One", "One = 1", "1 is not a class derived from rtec.effects.Effect"),
     ("half", "pkg_bad:Half", ABSTRACT, "Half lacks basis, coefficients"),
     ("untold", "pkg_bad:One", UNTOLD.format(name="One", effect="untold"), "One has no `about = About"),
@@ -124,7 +126,18 @@ WORKS = GOOD.replace("effect: Literal", FED, 1)
 BASIS = "return [channels.value(self.the_axis(machine).channel) * 0.0 + 1.0]"
 FAILS = (
     ("raises", WORKS.replace(BASIS, "raise KeyError('T_bed')"), "basis() raises KeyError: 'T_bed'"),
-    ("decides", WORKS.replace(BASIS, "return [1.0 if channels.value('x') > 0 else 0.0]"), "basis() raises ValueError"),
+    (
+        "decides",
+        WORKS.replace(BASIS, "return [1.0 if channels.value('x') > 0 else 0.0]"),
+        "np.greater is none of the loop's",
+    ),
+    (
+        "where",
+        WORKS.replace(BASIS, "import numpy as np; return [np.where(1 > 0, channels.value('x'), 0.0)]"),
+        "np.where",
+    ),
+    ("no numbers", WORKS.replace(BASIS, "return [channels.value('x') / 0.0]"), "that are no finite numbers"),
+    ("not listed", WORKS.replace(BASIS, "return [channels.value('T_bed')]"), "channel 'T_bed', which channels() does"),
     ("too few", WORKS.replace(BASIS, "return []"), "basis() gives 0 values for 1 coefficients"),
     (
         "too short",
@@ -216,3 +229,8 @@ def test_a_plug_in_is_told_like_the_others(install: Install, capsys: pytest.Capt
     facts = json.loads(capsys.readouterr().out)["one_step"]
     assert facts["family"] == OTHERS
     assert facts["parameters"] == [{"name": "h", "unit": "um", "typical": 1.0}]
+
+
+def test_the_arithmetic_of_a_trial_is_that_of_the_kernel() -> None:
+    """Oracle: the kernel's own list; an effect that passes the trial can be compiled."""
+    assert set(ARITHMETIC) == {*UFUNCS, *SHORT}

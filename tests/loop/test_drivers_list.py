@@ -178,6 +178,7 @@ def test_a_driver_that_lacks_a_package_says_what_to_install(site: Path) -> None:
     ("text", "said"),
     [
         ("1 / 0\n", "cannot be imported: ZeroDivisionError"),
+        ("raise SystemExit(3)\n", "cannot be imported: SystemExit: 3"),
         ("odd = 5\n", "neither a class nor a table"),
         ("odd = {'odd': 'module:Class'}\n", "neither a class nor a table"),
         ("class odd: pass\n", "has no options_model"),

@@ -43,6 +43,12 @@ FOLD: dict[Op, Callable[..., float]] = {
 }  # fmt: skip
 
 
+SHORT: dict[str, Callable[["Symbol"], "Symbol"]] = {
+    "square": lambda x: x * x, "reciprocal": lambda x: 1.0 / x, "positive": lambda x: x,
+}  # fmt: skip
+"""Functions that numpy takes for a power of an array, too: `x**2` is `np.square(x)`."""
+
+
 @dataclass(frozen=True)
 class Node:
     """One step of arithmetic: `args` are node numbers, `key` the constant, or the name of input or parameter."""
@@ -123,8 +129,10 @@ class Symbol:
         return float(node.key) if node.op == "const" and node.key is not None else None
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> "Symbol":
+        if method == "__call__" and not kwargs and ufunc.__name__ in SHORT:
+            return SHORT[ufunc.__name__](self)
         if method != "__call__" or kwargs or ufunc.__name__ not in UFUNCS:
-            allowed = ", ".join(f"np.{name}" for name in UFUNCS)
+            allowed = ", ".join(f"np.{name}" for name in (*UFUNCS, *SHORT))
             raise ModelError(f"an effect used np.{ufunc.__name__}; the compiled kernel knows {allowed}")
         return self.graph.apply(UFUNCS[ufunc.__name__], *inputs)
 
