@@ -1,4 +1,4 @@
-"""Times of a loop, in histograms of 1 µs (a week takes the memory of a minute), and failures of its devices."""
+"""Times of a loop, in histograms (a week takes the memory of a minute), and failures of its devices."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -7,30 +7,35 @@ import numpy as np
 
 from rtec.text import clean
 
-BINS = 20_000
-"""The last bin holds everything from 20 ms on; the largest time is kept separately."""
+BINS, SLOW_BINS = 20_000, 10_000
+"""Bins of 1 µs; from 20 ms on, bins of 1 ms, the last of which holds everything from 10 s on."""
 
 
 class Histogram:
-    """Counts of durations by whole µs."""
+    """Counts of durations by whole µs, from 20 ms on by whole ms."""
 
     def __init__(self) -> None:
-        self.counts = np.zeros(BINS, dtype=np.int64)
+        self.counts, self.slow = np.zeros(BINS, dtype=np.int64), np.zeros(SLOW_BINS, dtype=np.int64)
         self.largest_ns = 0
 
     def add(self, duration_ns: int) -> None:
         """Count one duration."""
-        index = duration_ns // 1000
-        self.counts[index if 0 <= index < BINS else (0 if index < 0 else BINS - 1)] += 1
+        index = max(duration_ns // 1000, 0)
+        if index < BINS:
+            self.counts[index] += 1
+        else:
+            self.slow[min(index // 1000, SLOW_BINS - 1)] += 1
         self.largest_ns = max(self.largest_ns, duration_ns)
 
     def percentile_us(self, percent: float) -> float:
         """Upper edge of the bin that holds this percentage, µs; 0 without any durations."""
-        total = int(self.counts.sum())
-        if not total:
+        below = np.cumsum(np.concatenate([self.counts, self.slow]))
+        if not below[-1]:
             return 0.0
-        index = int(np.searchsorted(np.cumsum(self.counts), total * percent / 100.0))
-        return min(float(index + 1), self.largest_ns * 1e-3)
+        index = int(np.searchsorted(below, below[-1] * percent / 100.0))
+        edge_us = index + 1 if index < BINS else 1000 * (index - BINS + 1)
+        last = index == BINS + SLOW_BINS - 1
+        return self.largest_ns * 1e-3 if last else min(float(edge_us), self.largest_ns * 1e-3)
 
     def summary(self) -> dict[str, float]:
         """p50, p99, p99.9 and largest, µs."""
