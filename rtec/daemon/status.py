@@ -238,6 +238,7 @@ class Alarms:
         passed: Flag,
         devices: Mapping[str, Sequence[str]],
         causes: Mapping[str, str] | None = None,
+        loop: str = "",
     ) -> None:
         """Begin and end alarms.
 
@@ -246,11 +247,13 @@ class Alarms:
             passed: flags of any of the rows since the last look.
             devices: present faults, by device.
             causes: those of the newest row's flags, by the flag's name.
+            loop: what is wrong with the loop itself; "" for nothing.
         """
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         if now_ns - self._first_ns < START_NS:
             return
-        for key, text in _wrong(passed & ~ORDERED, devices, causes or {}).items():
+        wrong = _wrong(passed & ~ORDERED, devices, causes or {}) | ({"loop": loop} if loop else {})
+        for key, text in wrong.items():
             alarm = self._going_on.setdefault(key, _Alarm(now_ns, now_ns))
             alarm.last_ns, says = now_ns, without_numbers(text)
             if any(known.startswith(says) for known in alarm.texts):

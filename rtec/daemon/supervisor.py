@@ -43,6 +43,8 @@ __all__ = ["Report", "Status", "Supervisor"]
 
 DRAIN_PERIOD_NS: Final = 20_000_000
 STOP_TIMEOUT_S: Final = 5.0
+STANDS_NS: Final = 2_000_000_000
+"""A loop without a cycle for this long, ns, stands."""
 START_S: Final = 300
 """The loop begins within this time: a slow computer compiles for a minute, and a device may be late."""
 RING_SECONDS: Final = 6.0
@@ -110,6 +112,7 @@ class Supervisor:
         self._homing = Homing(setup, self._memory.newest)
         self._step_orders = StepOrders(setup, self._clock)
         self._interrupted, self._ended, self._ends_at_once = False, False, False
+        self._row_ns = 0
         self._disk: DiskThread | None = None
         self._held_without: list[str] = []
         self._flush_ns, self._deleted = 0, False
@@ -269,15 +272,20 @@ class Supervisor:
 
     def _until_done(self, ring: Ring, pipe: Connection, process: Any, disk: DiskThread, workers: Workers) -> None:
         flush_ns = round(self.setup.file.run.flush_s * 1e9)
-        self._flush_ns = self._clock.now_ns() + flush_ns
+        self._row_ns = now = self._clock.now_ns()
+        self._flush_ns = now + flush_ns
+        stop_ns = None
         while not pipe.poll() and process.is_alive():
             now = self._clock.now_ns()
+            if stop_ns is not None and now - stop_ns > STOP_TIMEOUT_S * 1e9:
+                raise DriverFault(f"{self._stands(now)}; the run was ended, and no device was told to hold")
             ring.consumer_heartbeat_ns = now
             workers.look()
             self._carry_out(ring)
             ending = self._interrupted or self._ended
             if self._step_orders.look(ring.orders, self._watch.status, ending) or self._ends_at_once:
                 ring.stop_requested = 1
+                stop_ns = now if stop_ns is None else stop_ns
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
             self._home(ring, pipe)
@@ -294,6 +302,7 @@ class Supervisor:
         samples, commands = ring.drain()
         self._reload.look(ring, disk)
         if len(samples):
+            self._row_ns = self._clock.now_ns()
             disk.write(samples, commands, ring.tail - len(samples))
             self._watch.look(samples, commands, ring)
             self._on_rows(samples, commands)
@@ -358,7 +367,14 @@ class Supervisor:
             self.note("note", text)
         passed = self._watch.take_passed()
         status = self._newest() if passed else self._watch.status
-        self._alarms.look(now_ns, passed, status.devices, status.causes)
+        stands = self._stands(now_ns) if now_ns - self._row_ns > STANDS_NS else ""
+        self._alarms.look(now_ns, passed, status.devices, status.causes, stands)
+
+    def _stands(self, now_ns: int) -> str:
+        """What to say of a loop that ran its last cycle some time ago."""
+        way = f"`rtec doctor {self.setup.path.name}` tries each device alone"
+        gone_s = (now_ns - self._row_ns) * 1e-9
+        return f"the loop stands: no cycle for {gone_s:.0f} s; a driver of its process hangs. {way}"
 
     def _hold_without(self, lost: list[str]) -> None:
         """Hold, once for each lost part that the daemon must not correct without; ask for a restart."""

@@ -98,6 +98,16 @@ def test_reasons_without_end_are_no_flood() -> None:
     assert told[MOST_REASONS:] == [("alarm", f"device odd: it restarted; {HOLDS}")], "an order is waited for"
 
 
+def test_a_loop_that_stands_is_an_alarm() -> None:
+    """Once, though the time in its text grows; over when it goes on."""
+    made, told = alarms()
+    for k in range(5):
+        made.look(FIRST + k * S, Flag(0), {}, loop=f"the loop stands: no cycle for {2 + k} s")
+    made.look(FIRST + 4 * S + QUIET_NS, Flag(0), {})
+    assert [kind for kind, _ in told] == ["alarm", "alarm over"]
+    assert told[0][1] == "the loop stands: no cycle for 2 s"
+
+
 def test_a_clause_of_two_reasons_is_said_once() -> None:
     assert joined(["lost; it holds", "far away; it holds (`resume`)"]) == "lost; far away; it holds (`resume`)"
     made, told = alarms()

@@ -232,16 +232,20 @@ def test_no_sign_of_life_while_the_loop_is_stopped(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("runtime_folder")
 @pytest.mark.xdist_group("real-clock")
-def test_a_driver_that_never_opens_its_device_can_be_ended(tmp_path: Path) -> None:
-    """Oracle: the process table. Ctrl-C had done nothing: the supervisor waited for the loop to begin."""
+@pytest.mark.parametrize(
+    ("happens", "why"),
+    [("hangs", "a driver hangs while it opens its device"), ("hangs_later", "the loop stands: no cycle for")],
+)
+def test_a_driver_that_hangs_can_be_ended(tmp_path: Path, happens: str, why: str) -> None:
+    """While it opens its device, and in a cycle. Oracle: the process table. Ctrl-C had done nothing."""
     told = tmp_path / "pid"
     with manager(str(tmp_path / "notify")) as made:
-        service = Service(tmp_path, made, 10.0, happens="hangs", told=str(told))
+        service = Service(tmp_path, made, 10.0, happens=happens, at_cycle=50, told=str(told))
         assert until(lambda: told.exists() and told.read_text() != "")
         service.process.send_signal(signal.SIGINT)
         _, said = service.process.communicate(timeout=60)
     assert service.process.returncode == 2
-    assert "a driver hangs while it opens its device" in said
+    assert why in said
     assert not Path(f"/proc/{told.read_text()}").exists()
 
 

@@ -25,14 +25,16 @@ class FaultyOptions(SimOptions):
     Attributes:
         at_cycle: reading of counts, from the loop's first real one on, at which it happens.
         happens: what: Ctrl-C in the terminal, the death of everything or of the supervisor, silence for 200 cycles,
-            a port that is not there, or one whose opening never
-            ends, which notes its process in the file `told` before.
+            a port that is not there, or one whose opening, or whose reading, never ends, which notes its process in the
+            file `told` before.
         told: a file that notes what the actuator was told.
         has: output that the actuator holds already when it is opened.
     """
 
     at_cycle: int = 0
-    happens: Literal["nothing", "ctrl_c", "kill_all", "kill_supervisor", "silence", "no_port", "hangs"] = "nothing"
+    happens: Literal[
+        "nothing", "ctrl_c", "kill_all", "kill_supervisor", "silence", "no_port", "hangs", "hangs_later"
+    ] = "nothing"
     told: Path | None = None
     has: tuple[int, ...] = ()
 
@@ -50,11 +52,8 @@ class FaultyDriver(SimDriver):
     def __enter__(self) -> "FaultyDriver":
         if self.faults.happens == "no_port":
             raise DriverUnavailable("/dev/ttyUSB7: no such port; plug it in, or name another")
-        if self.faults.happens == "hangs" and self.faults.told is not None:
-            self.faults.told.write_text(str(os.getpid()))
-            signal.signal(signal.SIGTERM, signal.SIG_IGN)
-            while True:
-                signal.pause()
+        if self.faults.happens == "hangs":
+            self._hang()
         super().__enter__()
         if self.faults.has:
             super().apply(np.array(self.faults.has, np.int64))
@@ -70,6 +69,8 @@ class FaultyDriver(SimDriver):
                 os.killpg(0, signal.SIGKILL)
             case "kill_supervisor" if at == self.faults.at_cycle:
                 os.kill(os.getppid(), signal.SIGKILL)
+            case "hangs_later" if at == self.faults.at_cycle:
+                self._hang()
             case "silence" if self.faults.at_cycle <= at < self.faults.at_cycle + 200:
                 raise DriverTimeout("encoder box: no answer within 1 ms")
         return super().read_counts(counts)
@@ -86,8 +87,15 @@ class FaultyDriver(SimDriver):
         self._note("closed")
         super().__exit__(*rest)
 
+    def _hang(self) -> None:
+        assert self.faults.told is not None
+        self.faults.told.write_text(str(os.getpid()))
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        while True:
+            signal.pause()
+
     def _note(self, text: str) -> None:
-        if self.faults.told is not None:
+        if self.faults.told is not None and not self.faults.happens.startswith("hangs"):
             with self.faults.told.open("a", encoding="utf-8") as file:
                 file.write(text + "\n")
 
