@@ -8,8 +8,8 @@ import socket
 import subprocess
 import threading
 import tty
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -284,6 +284,32 @@ def test_a_late_tcp_answer_is_told_from_a_new_one_by_its_number() -> None:
         finally:
             stop.set()
             thread.join()
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        (lambda q: b"\x00\x05" + b"\x09" + q[7:8] + b"\x02\x00\xc8", "unit 9 answered instead; a wrong id"),
+        (lambda q: b"\x00\x03" + q[6:8] + b"\x00", "it answers with 2 bytes, 4 are right: another register map?"),
+    ],
+    ids=["unit", "length"],
+)
+def test_an_answer_over_tcp_that_is_not_the_one_is_told(answer: Callable[[bytes], bytes], why: str) -> None:
+    """Oracle: MODBUS Messaging on TCP/IP 1.0b, 3.1.3: transaction, protocol, length, unit, function, data."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            connection, _ = listener.accept()
+            with connection, suppress(OSError):
+                while len(request := connection.recv(12)) == 12:
+                    connection.sendall(request[:4] + answer(request))
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        slave = {"id": 1, "period_s": 0.02, "timeout_s": 0.1, "register": {"T_bed": {"address": 0}}}
+        with driver(tcp=tcp(listener.getsockname()[1]), slave={"a": slave}) as d:
+            assert until(lambda: any(why in f for f in d.faults())), d.faults()
+        thread.join()
 
 
 def test_what_is_no_modbus_is_told() -> None:

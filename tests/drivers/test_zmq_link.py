@@ -121,6 +121,14 @@ def test_the_other_process_vanishes_and_comes_back_as_it_was(tmp_path: Path) -> 
     assert all(c["output"] == {"X": 4, "Z": 4} for c in cell.commands)  # none was kept for its return
 
 
+def test_a_start_says_why_every_message_is_refused(tmp_path: Path) -> None:
+    """Counts that are no whole numbers. Oracle: the key that is wrong; messages come, so silence is no reason."""
+    with ipc_cell(tmp_path) as cell:
+        cell.extra = {"counts": {"X": 1000.5, "Z": 0}}
+        with pytest.raises(DriverFault, match=r"a message: .*counts"), driver(addresses(tmp_path, open_timeout_s=0.5)):
+            pass
+
+
 def test_an_older_message_is_not_looked_at(tmp_path: Path) -> None:
     """Twice the same number, then a lower one: what they say is of no interest."""
     with ipc_cell(tmp_path) as cell, driver(addresses(tmp_path)) as link:

@@ -165,6 +165,10 @@ class Exchange(Protocol):
         """The answer or None, and all other received bytes."""
         ...
 
+    def why_not(self, data: bytes, request: ModbusRequest) -> str:
+        """Describe the bytes that came instead of the answer that was asked for last."""
+        ...
+
 
 class RtuExchange:
     """On a serial line, or on a TCP connection that carries a serial line's frames.
@@ -193,6 +197,10 @@ class RtuExchange:
                 return answer, data
         return None, data
 
+    def why_not(self, data: bytes, request: ModbusRequest) -> str:
+        """Describe the bytes that came instead of the answer."""
+        return why_not(data, request)
+
 
 class TcpExchange:
     """On a TCP connection: the answer has the number of its request, so an old one is never accepted."""
@@ -200,13 +208,13 @@ class TcpExchange:
     numbered = True
 
     def __init__(self, clock: Clock) -> None:
-        self._clock, self._transaction, self._rest = clock, 0, b""
+        self._clock, self._transaction, self._rest, self._odd = clock, 0, b"", ""
 
     def ask(self, line: ByteLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
         """Send with the next number; skip answers with any other."""
         self._transaction = self._transaction % 0xFFFF + 1
         line.send(request.tcp(self._transaction))
-        noise = b""
+        noise, self._odd = b"", ""
         while self._clock.now_ns() < until_ns:
             more = line.receive(until_ns)
             noise = (noise + more)[-LONGEST_NOISE:]
@@ -216,9 +224,21 @@ class TcpExchange:
             messages, self._rest = parts
             for transaction, unit, content in messages:
                 answer = decode(content, request)
-                if transaction == self._transaction and unit == request.slave and answer is not None:
+                if transaction != self._transaction:
+                    continue
+                if unit == request.slave and answer is not None:
                     return answer, noise
+                self._odd = (
+                    f"it answers with {len(content)} bytes, {2 + 2 * request.count} are right: another register map?"
+                )
+                if unit != request.slave:
+                    self._odd = f"unit {unit} answered instead; a wrong id, or a gateway that puts in its own?"
         return None, noise
+
+    def why_not(self, data: bytes, request: ModbusRequest) -> str:
+        """Describe what came instead of the answer: with its number, or with older ones only."""
+        del request
+        return self._odd or ("it answers only earlier requests; raise timeout_s" if data else "no answer")
 
 
 TCP_PORT = 502

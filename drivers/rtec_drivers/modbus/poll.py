@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import Clock
 from rtec_drivers.byte_line import ByteLine
-from rtec_drivers.modbus.frame import ERRORS, LONGEST_NOISE, Exchange, frames_of_slaves, why_not
+from rtec_drivers.modbus.frame import ERRORS, LONGEST_NOISE, Exchange, frames_of_slaves
 from rtec_drivers.modbus.map import Block
 from rtec_drivers.reopen import NS, Backoff, Worker
 from rtec_drivers.temperatures import TemperatureReadings
@@ -191,8 +191,7 @@ class Poller:
 
     def _no_answer(self, slave: Slave, block: Block, data: bytes, asked_ns: int) -> None:
         now_ns = self._clock.now_ns()
-        late = bool(data) and self._exchange.numbered
-        why = "it answers only earlier requests; raise timeout_s" if late else why_not(data, block.request)
+        why = self._exchange.why_not(data, block.request)
         if data[:1] == bytes([slave.number]) and slave.corrupt + 1 < CORRUPT_IN_A_ROW:
             slave.corrupt += 1
             slave.due_ns = now_ns + slave.period_ns

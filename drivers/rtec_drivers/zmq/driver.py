@@ -131,10 +131,14 @@ class StateBook:
             DriverFault: a message was malformed, or a sensor is stuck.
             DriverTimeout: silence.
         """
+        self.tell_fault()
+        self.tell_silence()
+
+    def tell_fault(self) -> None:
+        """Raise DriverFault where a message was malformed, or a sensor is stuck."""
         faults = [f for f in (self._fault, *self._stuck_faults.values()) if f]
         if faults:
             raise DriverFault(f"{self._options.state}: {'; '.join(faults)}")
-        self.tell_silence()
 
     def tell_silence(self) -> None:
         """Raise where no new message has come lately.
@@ -330,7 +334,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """Connect; wait for the first message. Starting a run is an order to resume.
 
         Raises:
-            DriverTimeout: none came, and the options have `at_start = "required"`.
+            DriverTimeout, DriverFault: none came, or none that is good, and the options have `at_start = "required"`.
             DriverUnavailable: an address cannot be used.
         """
         self._book = StateBook(self._machine, self.options)
@@ -338,7 +342,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self.resume()
         try:
             self._first_message(self._sockets)
-        except DriverTimeout:
+        except (DriverTimeout, DriverFault):
             if self.options.at_start == "required":
                 self._leave()
                 raise
@@ -473,6 +477,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
             self._listen()
             if self._book.heard:
                 return
+        self._book.tell_fault()
         raise DriverTimeout(f"{self.options.state}: no message within {self.options.open_timeout_s:g} s")
 
     def _check(self, tracker: CountTracker, got: Counts) -> None:
