@@ -124,10 +124,11 @@ def _text(data: Mapping[str, Any], key: str) -> str:
     return value
 
 
-def _integer(data: Mapping[str, Any], key: str) -> int:
+def _integer(data: Mapping[str, Any], key: str, of: str = "") -> int:
     value = data.get(key)
     if type(value) is not int or abs(value) > LARGEST:
-        raise MessageError(f"{key!r} must be an integer of 64 bits")
+        found = f", found {value!r:.40}" if isinstance(value, int | float | str) else ""
+        raise MessageError(f"{of + key!r} must be an integer of 64 bits{found}")
     return value
 
 
@@ -140,7 +141,7 @@ def _table(data: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 def _integers(data: Mapping[str, Any], key: str) -> dict[str, int]:
     table = _table(data, key)
-    return {name: _integer(table, name) for name in table}
+    return {name: _integer(table, name, f"{key}.") for name in table}
 
 
 def _number(key: str, value: object) -> float:
