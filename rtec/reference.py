@@ -128,16 +128,19 @@ def _sorted(keys: Sequence[Key]) -> list[Key]:
 
 
 def matching(path: str) -> list[Key]:
-    """The keys that a text matches: a whole path, a table with all its keys, or the end of a path.
+    """The keys that a text matches: a whole path, a table or a driver with all its keys, or the end of a path.
 
     Raises:
         ConfigError: none matches; the message names the nearest.
     """
-    keys = all_keys()
+    keys = [*all_keys(), *_device_keys(own=False)]
     parts = _parts(path)
     whole = [key for key in keys if _is(_parts(key.path), parts)]
     tables = [key for key in keys if _is(_parts(key.table), parts) or (path in FILES and key.file == path)]
-    by_driver = [key for key in keys if _is([key.when.split('"')[-2:-1][0], key.name] if key.when else [], parts)]
+    kinds = [key.when.split('"')[-2:-1][0] if key.when else "" for key in keys]
+    by_driver = [
+        key for kind, key in zip(kinds, keys, strict=True) if kind and (kind == path or _is([kind, key.name], parts))
+    ]
     ends = [key for key in keys if _is(_parts(key.path)[-len(parts) :], parts)]
     matches = whole or tables or by_driver or ends
     if not matches:
@@ -164,7 +167,7 @@ def _keys_of(file: str, model: type[BaseModel]) -> Iterator[Key]:
             yield _key(file, option, "")
     if file == "run":
         yield from _output_keys()
-        yield from _device_keys()
+        yield from _device_keys(own=True)
     if file == "measurement":
         for name, kind in INSTRUMENTS.items():
             options = (o for o in options_of(kind.setup_model, "setup.") if not _has_keys(o))
@@ -177,10 +180,10 @@ def _output_keys() -> Iterator[Key]:
         yield from (_key("run", o, when) for o in options_of(sink, "output.NAME."))
 
 
-def _device_keys() -> Iterator[Key]:
-    """The keys of rtec's own drivers; `rtec drivers NAME` shows those of other packages."""
+def _device_keys(*, own: bool) -> Iterator[Key]:
+    """The keys of rtec's own drivers, or of those of other packages, which no page of rtec has."""
     for name, driver in installed().items():
-        if driver.package == "rtec" and not driver.trouble:
+        if (driver.package == "rtec") is own and not driver.trouble:
             kind = driver.load()
             example = _first_table(str(getattr(kind, "EXAMPLE", "")))
             options = (o for o in options_of(kind.options_model, "device.NAME.") if not _has_keys(o))

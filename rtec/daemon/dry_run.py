@@ -19,7 +19,7 @@ from rtec.loop.run_file import Setup
 from rtec.loop.state import units_of
 from rtec.loop.state_files import kept, state_places
 from rtec.loop.step import Step
-from rtec.loop.zero import Zero
+from rtec.loop.zero import Zero, beyond_travel
 from rtec.wording import listed
 
 NS = 1e-9
@@ -80,7 +80,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
             *(text for flag, text in REASONS.items() if flag & Flag(flags)),
         ],
         "troubles": [*wrong, *folder_faults(setup)],
-        "notes": unlimited(setup),
+        "notes": [*(beyond_travel(setup.machine, sample.counts[0]) if zero.known else []), *unlimited(setup)],
     }
 
 

@@ -278,7 +278,7 @@ class Supervisor:
         while not pipe.poll() and process.is_alive():
             now = self._clock.now_ns()
             if stop_ns is not None and now - stop_ns > STOP_TIMEOUT_S * 1e9:
-                raise DriverFault(f"{self._stands(now)}; the run was ended, and no device was told to hold")
+                raise DriverFault(f"{self._stands(now)}; the run was ended; the actuator keeps its last command")
             ring.consumer_heartbeat_ns = now
             workers.look()
             self._carry_out(ring)

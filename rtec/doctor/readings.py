@@ -31,6 +31,7 @@ from rtec.doctor.ports import (
 from rtec.errors import DriverError, DriverFault
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import CAN_BE
+from rtec.loop.zero import beyond_travel
 from rtec.wording import percent
 
 NS = 1e-9
@@ -142,12 +143,13 @@ class DeviceReadings:
         clock: clock of the ages.
 
     Attributes:
+        counts: the newest counts, by axis.
         counts_age_s: age of the counts at each reading, at the instant before it, as the guard judges it.
     """
 
     def __init__(self, device: Any, patient: Patient, clock: Clock) -> None:
         self._device, self._patient, self._machine, self._clock = device, patient, patient.machine, clock
-        self._counts = np.zeros(len(self._machine.axes), np.int64)
+        self.counts = np.zeros(len(self._machine.axes), np.int64)
         self._degc = np.full(len(self._machine.sensors), np.nan)
         self._degc_ns = np.zeros(len(self._machine.sensors), np.int64)
         self._rpm = float("nan")
@@ -198,7 +200,7 @@ class DeviceReadings:
 
     def _read_counts(self) -> None:
         asked_ns = self._clock.now_ns()
-        latched_ns = self._device.read_counts(self._counts)
+        latched_ns = self._device.read_counts(self.counts)
         self._sent_before += latched_ns < asked_ns
         self._counts_rate.record(latched_ns)
         self.counts_age_s.append((asked_ns - latched_ns) * NS)
@@ -219,7 +221,7 @@ class DeviceReadings:
         age_s, hz = self._counts_rate.age_s(now_ns), self._counts_rate.hz()
         return [
             Value(f"axis {a.name}", n / a.counts_per_mm, "mm", 4, age_s, hz)
-            for a, n in zip(self._machine.axes, self._counts.tolist(), strict=True)
+            for a, n in zip(self._machine.axes, self.counts.tolist(), strict=True)
         ]
 
     def _spindle_values(self) -> list[Value]:
@@ -424,6 +426,7 @@ def reasons(device: Any, ability: Ability, error: DriverError) -> list[str]:
 
 
 HOLDS_AHEAD = "the correction would hold"
+OTHER_PLACE = "counts_per_mm, travel_mm, or the zero of the axis: does the controller show the same position?"
 OTHER_CLOCK = "its clock is another one than the loop's; a driver stamps its readings with clock.now_ns()"
 
 
@@ -442,6 +445,8 @@ def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -
     late = float(np.mean(np.asarray(readings.counts_age_s) > allowed_s))
     is_meant = f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?"
     enough = f"[guard] counts_max_age_s = {CYCLES_OF_AGE * cycle_ms * 1e-3:g}, {CYCLES_OF_AGE} cycles"
+    if patient.file.run.zero == "counts":
+        faults += [DeviceFault(text, (OTHER_PLACE,)) for text in beyond_travel(patient.machine, readings.counts)]
     if age_s < -allowed_s:
         faults.append(DeviceFault(f"counts are from the future, {-age_s:.3g} s ahead: {HOLDS_AHEAD}", (OTHER_CLOCK,)))
     elif age_s > allowed_s:

@@ -27,6 +27,20 @@ UNKNOWN: Final = -1
 """Number of a device's start where it is not known."""
 
 
+BEYOND: Final = 0.05
+"""Share of its travel by which an axis may be outside it: the travel is of the controller's software limits."""
+
+
+def beyond_travel(machine: Machine, counts: IntArray) -> list[str]:
+    """A line for each axis whose counts are a position far outside its travel, where no axis can be."""
+    out = []
+    for axis, n in zip(machine.axes, counts.tolist(), strict=True):
+        (low, high), at = axis.travel_mm, n / axis.counts_per_mm
+        if max(low - at, at - high) > BEYOND * (high - low):
+            out.append(f"axis {axis.name} is at {at:.3f} mm; its travel_mm is {low:g} to {high:g}")
+    return out
+
+
 class Zero:
     """The zero of one run's axes.
 

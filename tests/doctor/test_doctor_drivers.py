@@ -76,6 +76,8 @@ def test_counts_that_the_guard_finds_too_old_now_and_then(
     [
         ({"takes_s": 0.004}, "reading counts takes 4.00 ms, at most 4.00 ms, of a cycle of 1 ms"),
         ({"late_s": 0.02}, "counts are 20.0 ms old when they are read; the correction would hold"),
+        ({"late_s": -10.0}, "counts are from the future, 10 s ahead: the correction would hold"),
+        ({"first": 500_000}, "axis X is at 250.150 mm; its travel_mm is 0 to 200"),
         ({"every": 1}, "fake: no answer"),
         ({"every": 4}, "counts: 75 of 300 readings failed, the last: fake: no answer"),
     ],

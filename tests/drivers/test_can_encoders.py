@@ -74,7 +74,7 @@ def table(channel: str, **more: Any) -> dict[str, Any]:
     return {"interface": "virtual", "channel": channel, "axis": axes, "timeout_ms": PATIENT_MS, **more}
 
 
-def driver(channel: str, machine: Machine = MACHINE, **more: Any) -> CanEncodersDriver:
+def driver(channel: str, machine: Machine = MACHINE, /, **more: Any) -> CanEncodersDriver:
     return CanEncodersDriver(validated(CanEncoderOptions, table(channel, **more), "run.toml"), machine, CLOCK)
 
 

@@ -14,6 +14,7 @@ import pytest
 from rtec.errors import ConfigError, DriverTimeout
 from tests.drivers.test_can_driver import BED, driver, pdo, table, value
 from tests.drivers.test_can_encoders import driver as encoder_driver
+from tests.drivers.test_can_encoders import travelling
 from tests.support.can_peer import CLOCK, MS, SlcanAdapter, bus_on, frame, new_channel
 from tests.support.conformance import open_files
 from tests.support.modbus_peer import until
@@ -157,7 +158,7 @@ def test_a_counter_narrower_than_its_option_is_refused(tmp_path: Path) -> None:
     axes = {"X": {**axis, "node": 10}, "Z": {**axis, "node": 11}}
     with pytest.raises(ConfigError, match="axis 'X': bits = 32, but its number in the frame has 16"):
         encoder_driver(new_channel(), axis=axes)
-    encoder_driver(new_channel(), axis=axes, bits=16)
+    encoder_driver(new_channel(), travelling(-10.0, 10.0), axis=axes, bits=16)
     pytest.importorskip("cantools", reason="cantools is not installed: pip install 'rtec[can]'")
     dbc = tmp_path / "scales.dbc"
     dbc.write_text('VERSION ""\nBU_: A\nBO_ 257 P: 8 A\n SG_ X : 0|24@1+ (1,0) [0|0] "" A\n', encoding="utf-8")

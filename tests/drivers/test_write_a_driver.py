@@ -6,6 +6,7 @@ Oracles: what the test writes into the files that the driver reads; the page's t
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -13,11 +14,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from rtec.correction.sinks import OriginOffsetSink, PulseSink
+from rtec.errors import DriverFault
+from rtec.loop.clock import VirtualClock
 from rtec.loop.driver_info import CAN_BE
+from rtec.loop.ports import Actuator, Resumable
+from rtec.tomlfile import validated
 from tests.support import setups
 from tests.support.command import here
+from tests.support.conformance import MACHINE
 
 PAGE = (Path(__file__).parents[2] / "docs" / "write-a-driver.md").read_text(encoding="utf-8")
 pytestmark = pytest.mark.xdist_group("real-clock")
@@ -28,7 +36,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
-(MODULE,), (PYPROJECT,), (COMMANDS,) = blocks("python"), blocks("toml"), blocks("text")
+(MODULE,), (PYPROJECT,), (COMMANDS,), (ACTUATOR,) = (blocks(kind) for kind in ("python", "toml", "text", "py"))
 SAID = {"T_spindle_front": 31.25, "T_bed": 19.5}
 
 
@@ -143,3 +151,31 @@ def test_what_else_the_page_says() -> None:
     for line in COMMANDS.splitlines():
         words = [*line.split()[1:], *(["--no-pc", "--seconds", "0.2"] if " doctor " in line else [])]
         rtec(*words)
+
+
+def test_the_actuator_of_the_page(tmp_path: Path) -> None:
+    """Oracle: the files. What somebody sets to zero stays zero until the order to resume."""
+    (tmp_path / "x").write_text("0", encoding="utf-8")
+    (tmp_path / "page_actuator.py").write_text(ACTUATOR, encoding="utf-8")
+    module = runpy.run_path(str(tmp_path / "page_actuator.py"))
+    options = validated(module["RegisterOptions"], {"files": {"X": "x"}, "step_um": 0.1}, "run.toml")
+    driver = module["RegisterDriver"](options, MACHINE, VirtualClock(), tmp_path)
+    assert all(isinstance(driver, port) for port in (Actuator, Resumable))
+    assert driver.refuses(PulseSink()) == "takes origin_offset, not pulse"
+    assert driver.refuses(OriginOffsetSink(kind="origin_offset", resolution_um=1.0)) == "its step is 0.1 µm, not 1.0 µm"
+    assert driver.refuses(OriginOffsetSink(kind="origin_offset", resolution_um=0.1)) == ""
+    has = np.zeros(len(MACHINE.axes), np.int64)
+    with driver:
+        for told in (3, 400):
+            driver.read_output(has)
+            driver.apply(np.full_like(has, told))
+            assert (tmp_path / "x").read_text(encoding="utf-8") == str(told)
+        (tmp_path / "x").write_text("0", encoding="utf-8")
+        driver.apply(np.full_like(has, 400))
+        driver.read_output(has)
+        assert (has[0], (tmp_path / "x").read_text(encoding="utf-8")) == (0, "0")
+        with pytest.raises(DriverFault, match="x has 0, 400 was written: somebody else wrote to it"):
+            driver.apply(np.full_like(has, 401))
+        driver.resume()
+        driver.apply(np.full_like(has, 1))
+    assert (tmp_path / "x").read_text(encoding="utf-8") == "1"

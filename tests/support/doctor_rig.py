@@ -61,7 +61,7 @@ class Fake:
 
     asked: ClassVar[list[str]] = []
     takes_s = late_s = 0.0
-    fails = every = 0
+    fails = every = first = 0
     later = (0, 0.0)
     opens: threading.Event | None = None
 
@@ -84,7 +84,7 @@ class Fake:
         self.clock.sleep_until_ns(self.clock.now_ns() + round(self.takes_s * 1e9))
         if self.every and self.n % self.every == 0:
             raise DriverTimeout("fake: no answer")
-        counts[:] = self.n
+        counts[:] = self.first + self.n
         every, later_s = self.later
         late_s = later_s if every and self.n % every == 0 else self.late_s
         return self.clock.now_ns() - round(late_s * 1e9)
