@@ -21,6 +21,7 @@ from rtec.estimation.readings import read
 from rtec.model import Model
 from rtec.model.kernel.trace import SHORT, UFUNCS
 from rtec.report.effects import OTHERS, catalogue_page, families
+from tests.support.command import here
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 GOOD = """
@@ -234,3 +235,71 @@ def test_a_plug_in_is_told_like_the_others(install: Install, capsys: pytest.Capt
 def test_the_arithmetic_of_a_trial_is_that_of_the_kernel() -> None:
     """Oracle: the kernel's own list; an effect that passes the trial can be compiled."""
     assert set(ARITHMETIC) == {*UFUNCS, *SHORT}
+
+
+KNEE = """
+from typing import Literal
+import numpy as np
+from rtec.effects import Parameter
+from rtec.effects.base import About, AxisEffect
+
+class Knee(AxisEffect):
+    about = About(title="Above a knee", equation="", typical="1 µm", seen_by=("laser_linear",), source="a test")
+    feeds, driven_by = ("positioning",), ("position", "temperature")
+    effect: Literal["knee"] = "knee"
+    sensor: str
+
+    def coefficients(self, machine):
+        return (Parameter("k", "um_per_m_degc", typical=10.0),)
+
+    def nonlinear(self, machine):
+        return (Parameter("T0", "degc", 3.0, 0.5, 15.0),)
+
+    def channels(self, machine):
+        return (*super().channels(machine), self.sensor)
+
+    def basis(self, machine, channels, theta):
+        q = channels.value(self.the_axis(machine).channel)
+        return [np.maximum(channels.rise(self.sensor) - theta["T0"], 0.0) * q / 1000.0]
+"""
+MILL = """
+[machine]
+name = "mill"
+tool_chain = ["X", "tool"]
+
+[axis.X]
+direction = "X"
+travel_mm = [-250.0, 350.0]
+counts_per_mm = 500
+
+[temperature.T_screw]
+[temperature.T_column]
+[temperature.T_quill]
+"""
+
+
+def test_each_sensor_of_one_is_tried_at_its_own_number(install: Install, tmp_path: Path) -> None:
+    """Two sensors whose effects have one shape at a value of the grid, and not where each fits best.
+
+    Oracle: what was hidden; with its own number the other leaves half as much again, so "confounded" would be wrong.
+    """
+    install("pkg_knee", {"knee": "pkg_knee:Knee"}, KNEE)
+    machine, data, model = (tmp_path / name for name in ("mill.toml", "lx", "known.toml"))
+    machine.write_text(MILL, encoding="utf-8")
+    known = ("scale,component=EXX,axis=X,k=15", "axis_expansion,component=EXX,axis=X,sensor=T_screw,k=8")
+    hidden = "knee,component=EXX,axis=X,sensor=T_screw,k=30,T0=2.5"
+    words = [word for effect in (*known, hidden) for word in ("--effect", effect)]
+    done = here(
+        "simulate", machine, "--instrument", "laser_linear", "--axis", "X", "--protocol", "warm_up", *words,
+        "--noise", 0.3, "-o", data, "--seed", 5,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    names = "scale:EXX,axis_expansion:EXX:sensor=T_screw"
+    done = here("fit", machine, f"{data}.csv", "-o", model, "--effects", names)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(here("diagnose", model, f"{data}.csv", "--json").stdout)
+    assert found["verdict"] == "missing_effect"
+    (first, second) = found["candidates"][:2]
+    assert (first["effect"], first["arguments"]["sensor"]) == ("knee", "T_screw")
+    assert first["parameters"]["T0"]["value"] == pytest.approx(2.5, abs=0.2)
+    assert second["log_evidence"] < first["log_evidence"] - 50.0

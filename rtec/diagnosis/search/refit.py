@@ -285,7 +285,53 @@ class Refits:
         best: dict[int, Refitted] = {}
         for t in ordered:
             best.setdefault(t.number, t)
-        return list(best.values())
+        return self._by_sensor(list(best.values()))
+
+    def _by_sensor(self, refitted: list[Refitted]) -> list[Refitted]:
+        """The same in order, where the first has rivals that are the same effect by another sensor and about as likely:
+        their non-linear parameters are refined again, each under the noise that was estimated beside it.
+
+        Under a noise that has absorbed a part of the effect the sensors look alike at values that are not their own.
+        """
+        machine = self.readings.machine
+
+        def name(t: Refitted) -> tuple[str, str]:
+            effect = self.candidates[t.number].effect
+            return effect.effect, effect.component
+
+        def read(t: Refitted) -> frozenset[str]:
+            return frozenset(self.candidates[t.number].effect.channels(machine))
+
+        first = refitted[0] if refitted else None
+        if first is None or not self.candidates[first.number].effect.nonlinear(machine):
+            return refitted
+        near = [t for t in refitted if name(t) == name(first) and first.log_evidence - t.log_evidence < 2.0 * WITHIN]
+        if len({read(t) for t in near}) < 2:
+            return refitted
+        again = {t.number: self._refined_again(t) for t in near}
+        return sorted((again.get(t.number, t) for t in refitted), key=lambda t: (not t.holds, -t.log_evidence))
+
+    def _refined_again(self, t: Refitted) -> Refitted:
+        """A candidate with its non-linear parameters refined under the noise beside it, where that is likelier."""
+        base, grid = self.prepared.base, self.candidates[t.number].thetas
+        nearest = min(range(len(grid)), key=lambda i: sum(abs(grid[i][k] - v) for k, v in t.theta.items()))
+        theta = self._polished(t.number, nearest, t.fit.whitener, base)
+        columns = self._columns(t.number, theta)
+        fit = self.fit(np.concatenate([base, columns], axis=1))
+        gain = fit.log_likelihood - t.fit.log_likelihood
+        if gain <= 0.0:
+            return t
+        drop, held, within = self._judged(t.number, theta, fit.whitener, base, columns)
+        return replace(
+            t,
+            theta=theta,
+            columns=columns,
+            fit=fit,
+            log_evidence=t.log_evidence + gain,
+            drop=drop,
+            gain=held,
+            within=within,
+        )
 
     def _at_another_instant(self, number: int, one: Screen, other: Screen) -> bool:
         """Whether two screens find an event at different instants; a refit does not get from one to the other."""
@@ -356,12 +402,6 @@ class Refits:
         theta = self._polished(number, variant.theta, found.projected.whitener, base)
         columns = self._columns(number, theta)
         fit = self.fit(np.concatenate([base, columns], axis=1))
-        again = self._polished(number, variant.theta, fit.whitener, base)
-        if again != theta:
-            other = self._columns(number, again)
-            refit = self.fit(np.concatenate([base, other], axis=1))
-            if refit.log_likelihood > fit.log_likelihood:
-                theta, columns, fit = again, other, refit
         cost = self._cost(columns, variant.count) + found.search_cost(number) + self._choice_cost(number)
         return theta, columns, fit, fit.log_likelihood - cost
 
