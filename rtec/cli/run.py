@@ -62,7 +62,7 @@ class RunScreen:
     def event(self, event: "Event") -> None:
         """Print an event; callable from any thread, does not block."""
         by = "" if event.who == "rtec" else f", by {event.who}"
-        text = event.text.removeprefix(f"{event.what}: ")
+        text = event.text.removeprefix(f"{event.what}: ").removeprefix(f"{event.what}, ")
         self._aloud.line(": ".join(part for part in (f"{event.utc} {event.what}{by}", text) if part))
 
     def _say(self, line: str) -> None:

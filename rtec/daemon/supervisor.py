@@ -45,6 +45,8 @@ DRAIN_PERIOD_NS: Final = 20_000_000
 STOP_TIMEOUT_S: Final = 5.0
 STANDS_NS: Final = 2_000_000_000
 """A loop without a cycle for this long, ns, stands."""
+LATE_S: Final = 1.0
+"""A run whose cycles are late ends this long, s, after its duration, with fewer cycles."""
 START_S: Final = 300
 """The loop begins within this time: a slow computer compiles for a minute, and a device may be late."""
 RING_SECONDS: Final = 6.0
@@ -116,6 +118,7 @@ class Supervisor:
         self._disk: DiskThread | None = None
         self._held_without: list[str] = []
         self._flush_ns, self._deleted = 0, False
+        self._lasts_ns: int | None = None
 
     @property
     def setup(self) -> Setup:
@@ -202,6 +205,8 @@ class Supervisor:
         cycles = None if duration_s is None else max(1, round(duration_s * self.setup.file.run.rate_hz))
         if self.setup.step_um:
             self._step_orders.lasts_s, cycles = duration_s, None
+        elif duration_s is not None:
+            self._lasts_ns = round((duration_s + LATE_S) * 1e9)
         capacity = max(64, round(RING_SECONDS * self.setup.file.run.rate_hz))
         context = child_context(self._forks)
         workers = Workers(self.setup, self._clock, self.parts, self._forks)
@@ -272,7 +277,7 @@ class Supervisor:
 
     def _until_done(self, ring: Ring, pipe: Connection, process: Any, disk: DiskThread, workers: Workers) -> None:
         flush_ns = round(self.setup.file.run.flush_s * 1e9)
-        self._row_ns = now = self._clock.now_ns()
+        self._row_ns = began = now = self._clock.now_ns()
         self._flush_ns = now + flush_ns
         stop_ns = None
         while not pipe.poll() and process.is_alive():
@@ -282,7 +287,7 @@ class Supervisor:
             ring.consumer_heartbeat_ns = now
             workers.look()
             self._carry_out(ring)
-            ending = self._interrupted or self._ended
+            ending = self._interrupted or self._ended or (self._lasts_ns is not None and now - began > self._lasts_ns)
             if self._step_orders.look(ring.orders, self._watch.status, ending) or self._ends_at_once:
                 ring.stop_requested = 1
                 stop_ns = now if stop_ns is None else stop_ns

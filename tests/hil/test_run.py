@@ -139,6 +139,13 @@ def test_without_its_supervisor_the_loop_holds_and_ends(tmp_path: Path, at_cycle
     assert rings_left() == []
 
 
+def test_a_duration_is_a_time_where_the_cycles_are_late(tmp_path: Path) -> None:
+    """Readings of 50 ms in cycles of 1 ms. Oracle: 0.2 s and the second of grace hold some 24 of them, not 200."""
+    done = faulty_run(tmp_path, "--duration", 0.2, happens="slow", at_cycle=1)
+    assert done.returncode == 0, done.stderr
+    assert 0 < json.loads(done.stdout)["cycles"] < 60
+
+
 def test_a_slow_loop_without_its_supervisor_ends_in_its_next_cycle(tmp_path: Path) -> None:
     """At one cycle a second. Oracle: the actuator's own list of commands, none but that of the cycle of the kill.
 

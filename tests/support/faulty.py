@@ -4,6 +4,7 @@ It is installed as other people's drivers are, as a package with an entry point;
 """
 
 import os
+import select
 import signal
 from pathlib import Path
 from typing import Literal
@@ -25,7 +26,7 @@ class FaultyOptions(SimOptions):
     Attributes:
         at_cycle: reading of counts, from the loop's first real one on, at which it happens.
         happens: what: Ctrl-C in the terminal, the death of everything or of the supervisor, silence for 200 cycles,
-            a port that is not there, or one whose opening, or whose reading, never ends, which notes its process in the
+            a port that is not there, readings that take 50 ms each, or one whose opening, or whose reading, never ends, which notes its process in the
             file `told` before.
         told: a file that notes what the actuator was told.
         has: output that the actuator holds already when it is opened.
@@ -33,7 +34,7 @@ class FaultyOptions(SimOptions):
 
     at_cycle: int = 0
     happens: Literal[
-        "nothing", "ctrl_c", "kill_all", "kill_supervisor", "silence", "no_port", "hangs", "hangs_later"
+        "nothing", "ctrl_c", "kill_all", "kill_supervisor", "silence", "no_port", "hangs", "hangs_later", "slow"
     ] = "nothing"
     told: Path | None = None
     has: tuple[int, ...] = ()
@@ -71,6 +72,8 @@ class FaultyDriver(SimDriver):
                 os.kill(os.getppid(), signal.SIGKILL)
             case "hangs_later" if at == self.faults.at_cycle:
                 self._hang()
+            case "slow" if at >= self.faults.at_cycle:
+                select.select((), (), (), SLOW_S)
             case "silence" if self.faults.at_cycle <= at < self.faults.at_cycle + 200:
                 raise DriverTimeout("encoder box: no answer within 1 ms")
         return super().read_counts(counts)
@@ -101,6 +104,7 @@ class FaultyDriver(SimDriver):
 
 
 REHEARSAL = 100
+SLOW_S = 0.05
 
 
 CTRL_C_AT_ONCE = """
