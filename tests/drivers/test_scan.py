@@ -28,7 +28,8 @@ from rtec_drivers.can.bus import CanOptions
 from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.can.encoders import CanEncodersDriver
 from rtec_drivers.can.scan import CanScanner
-from rtec_drivers.modbus.driver import ModbusDriver, ModbusOptions, float_pairs
+from rtec_drivers.modbus.driver import ModbusDriver, ModbusOptions, ModbusScanner, float_pairs
+from rtec_drivers.modbus.frame import INPUT
 from rtec_drivers.pty_peer import PtyPeer
 from tests.drivers.test_modbus_others import other_server, program, pty_pair, running
 from tests.support.box_peer import StillPlant
@@ -111,6 +112,19 @@ def test_a_slave_that_answers_late_is_found(monkeypatch: pytest.MonkeyPatch) -> 
         with ModbusDriver.scanner({"serial": {"port": bus.port, "baud": 115200}}, CLOCK) as scanner:
             assert found_by(scanner) == ["slave 3 answers: 32 input registers and 32 holding registers"]
         assert {frame[1] for frame in bus.unknown} <= {3, 4}, "reading functions only"
+
+
+def test_an_answer_later_than_patience_is_not_taken_for_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each answer takes 30 ms, patience ends after 20. Oracle: its 32 registers hold their address, 100 to 131."""
+    for name, ms in (("SLAVE_NS", 2000), ("PATIENT_NS", 20), ("TIMEOUT_NS", 100)):
+        monkeypatch.setattr(f"rtec_drivers.modbus.driver.{name}", ms * 1_000_000)
+    with line({3: FakeSlave(value=lambda _: 100, last=31, delay_s=0.03)}) as bus:
+        scanner = ModbusDriver.scanner({"serial": {"port": bus.port, "baud": 115200}}, CLOCK)
+        assert isinstance(scanner, ModbusScanner)
+        with scanner:
+            found_by(scanner)
+        read = {address: word for (_, function, address), word in scanner._words.items() if function == INPUT}
+    assert read == {address: 100 + address for address in range(32)}
 
 
 @pytest.mark.parametrize(

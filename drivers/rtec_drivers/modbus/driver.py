@@ -109,7 +109,9 @@ class ModbusScanner:
     def read(self) -> dict[str, float]:
         """Numbers of all existing registers; those that do not answer now keep their last one."""
         for request in self._blocks:
-            self._take(request, self._ask(request, PATIENT_NS))
+            if (answer := self._ask(request, PATIENT_NS)) is None:
+                self._let_pass()
+            self._take(request, answer)
         return {place: self._number(*where) for place, where in self._places.items()}
 
     def proposed(self, names: Sequence[str]) -> dict[str, str]:
@@ -150,9 +152,10 @@ class ModbusScanner:
             end_ns = self._clock.now_ns() + SLAVE_NS
             while todo and self._clock.now_ns() < end_ns:
                 request = todo.pop(0)
-                answer = self._ask(request, PATIENT_NS) or self._ask(
-                    request, PATIENT_NS
-                )  # a busy line loses a request at times
+                answer = self._ask(request, PATIENT_NS)
+                if answer is None:  # a busy line loses a request at times
+                    self._let_pass()
+                    answer = self._ask(request, 3 * PATIENT_NS)
                 if answer is None or answer.error == UNKNOWN_FUNCTION:
                     break
                 if not answer.error:
@@ -194,6 +197,12 @@ class ModbusScanner:
             late = {slave for slave, _ in frames_of_slaves(data)} & set(self._numbers)
             self.slaves += sorted(late - {*self.slaves, request.slave})
         return answer
+
+    def _let_pass(self) -> None:
+        """Drop what comes until the line is quiet: RTU answers have no number, and a late one would pass for the next."""
+        while self._line is not None and not self._exchange.numbered:
+            if not self._line.receive(self._clock.now_ns() + PATIENT_NS):
+                return
 
     def _about(self, number: int) -> str:
         kinds = [(NAMES[f], sum((s, g) == (number, f) for s, g, _ in self._words)) for f in NAMES]
