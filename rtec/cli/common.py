@@ -292,8 +292,9 @@ def interruptible(state: Callable[[], str] = lambda: "nothing was written") -> I
     """
     try:
         yield
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as e:
         typer.echo(f"rtec: stopped; {state()}", err=True)
+        e.args = (*e.args, "told")
         raise
 
 

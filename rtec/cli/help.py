@@ -22,7 +22,16 @@ Row = tuple[str, str]
 
 
 class Command(TyperCommand):
-    """A command whose help page is `page_lines`."""
+    """A command whose help page is `page_lines`, and that says so when Ctrl-C ends it."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Carry it out; typer's hook for it."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as e:
+            if not e.args:  # `interruptible` has said more
+                typer.echo("rtec: stopped", err=True)
+            raise
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """The arguments after the name of the command."""

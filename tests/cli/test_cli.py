@@ -124,7 +124,8 @@ def test_a_near_miss_names_the_right_command(capsys: pytest.CaptureFixture[str])
     [
         (ConfigError("a.toml: first\na.toml: second"), 2, "rtec: a.toml: first\nrtec: a.toml: second\n"),
         (RtecError("plain"), 2, "rtec: plain\n"),
-        (KeyboardInterrupt(), 130, ""),
+        (KeyboardInterrupt(), 130, "rtec: stopped\n"),
+        (KeyboardInterrupt("told"), 130, ""),
     ],
 )
 def test_errors_become_one_clear_message(
