@@ -168,6 +168,7 @@ class Desk:
             "left": self.residual.facts(model),
             "status": facts,
             "status_age_s": age_s,
+            "temperature_max_age_s": self.daemon.setup.file.guard.temperature_max_age_s,
             "events_total": total,
             "events": [vars(event) for event in newest],
             "control": vars(self.tally),

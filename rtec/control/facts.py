@@ -30,13 +30,18 @@ def well(report: Mapping[str, Any]) -> bool:
     return not (troubles(report) or held(status) or INPUT_FAULTS & set(status["flags"]))
 
 
+def positions_unknown(status: Mapping[str, Any]) -> bool:
+    """Does a device say that nobody knows where the axes stand?"""
+    return any(POSITIONS_NOT_KNOWN in text for texts in status["devices"].values() for text in texts)
+
+
 AXIS_COLUMNS: Final = ("axis", "position, mm", "requested, µm", "applied, µm", "residual, µm", "output, units")
 
 
 def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
     """For each axis: name, position, requested and applied correction, residual of the last measurement, output."""
     status, residual = report["status"], report["left"]["axes"]
-    lost = any(POSITIONS_NOT_KNOWN in text for texts in status["devices"].values() for text in texts)
+    lost = positions_unknown(status)
     return [
         [
             axis,

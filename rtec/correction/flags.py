@@ -76,7 +76,7 @@ REASONS = {
     Flag.ORDERED_OFF: "switched off",
     Flag.FADING: "fading to nothing",
     Flag.OUTPUT_SATURATED: "the actuator can give no more",
-    Flag.OUTPUT_TROUBLE: "the actuator takes no commands",
+    Flag.OUTPUT_TROUBLE: "the actuator takes no commands, or has an output that nobody commanded",
 }
 
 

@@ -211,10 +211,14 @@ def move(
 
 
 @njit
-def within_sink(units: float, lowest: float, highest: float) -> tuple[float, int]:
-    """Limit units of output to the sink's range; flag where that changes them."""
+def within_sink(units: float, output: int, lowest: float, highest: float) -> tuple[float, int]:
+    """Limit units of output to the sink's range; flag where they are outside it.
+
+    A ledger `output` that is outside already, as after a reload of a smaller range, never moves further away, and comes
+    back as fast as the correction does: the range itself would be a jump.
+    """
     if units < lowest or units > highest:
-        return min(max(units, lowest), highest), _SATURATED
+        return min(max(units, min(lowest, output)), max(highest, output)), _SATURATED
     return units, 0
 
 

@@ -14,6 +14,8 @@ from rtec.daemon.disk import folder_faults
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
+from rtec.loop.output import beyond
+from rtec.loop.ports import IntArray
 from rtec.loop.records import NEVER_NS, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import units_of
@@ -54,11 +56,11 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     sample.counts_time_ns[0] = NEVER_NS
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
-        zero = _zero(setup, ports, step)
-        _read(ports, sample, zero)  # a device may get ready at the first read; that is no wait
+        zero, output = _zero(setup, ports, step), np.zeros_like(sample.counts[0])
+        _read(ports, sample, zero, output)  # a device may get ready at the first read; that is no wait
         end_ns, stale = clock.now_ns() + round(wait_s / NS), int(STALE)
         while True:
-            wrong = _read(ports, sample, zero)
+            wrong = _read(ports, sample, zero, output)
             sample.time_ns[0] = clock.now_ns()
             commands = step.run(sample)
             flags = int(commands.flags[0]) & HOLD_REASONS
@@ -76,7 +78,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         "inputs": input_rows(setup, sample, zero.known),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
         "reasons": [
-            *(text for text in (zero.why, zero.restarted) if text),
+            *(text for text in (zero.why, zero.restarted, beyond(step, output)) if text),
             *(text for flag, text in REASONS.items() if flag & Flag(flags)),
         ],
         "troubles": [*wrong, *folder_faults(setup)],
@@ -106,9 +108,13 @@ def unlimited(setup: Setup) -> list[str]:
     ]
 
 
-def _read(ports: Ports, sample: Samples, zero: Zero) -> list[str]:
+def _read(ports: Ports, sample: Samples, zero: Zero, output: IntArray) -> list[str]:
     """Read everything once, the counts last, since they age first; give the faults, a line a device."""
     wrong = {}
+    try:
+        ports.actuator.read_output(output)
+    except DriverError as e:
+        wrong[ports.name("output")] = str(e)
     for k, source in enumerate(ports.temperatures):
         try:
             source.read_temperatures(sample.degc[0], sample.degc_time_ns[0])

@@ -23,7 +23,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.correction.flags import MODE_HOLD
+from rtec.correction.flags import MODE_HOLD, OUTPUT_TROUBLE
 from rtec.daemon.process import prepare_process, starter
 from rtec.daemon.published import Published
 from rtec.daemon.recover import AtStart, Start, allowed, recover
@@ -35,6 +35,7 @@ from rtec.errors import DriverError, RtecError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
+from rtec.loop.output import beyond
 from rtec.loop.ports import IntArray, OneWay, Resumable
 from rtec.loop.records import MODES_BY_NAME, Commands, Samples
 from rtec.loop.run_file import Setup
@@ -243,8 +244,8 @@ def _run(task: LoopTask, pipe: Connection) -> dict[str, Any]:
         loop = Loop(step, ports, clock, setup.period_ns, rows, start.mode, zero)
         if start.waits:
             loop.wait_for_order(start.waits)
-        if at_start.output is None:
-            loop.take_over(start.expected, allowed(step, DISK_SLACK_S))
+        if at_start.output is None or beyond(step, at_start.output):
+            loop.take_over(start.expected, allowed(step, DISK_SLACK_S), start.or_zero)
         warnings = _rehearse(setup, ports, at_start.output)
         ring.orders.mode = start.mode
         loop.keeper = StateWriter(image, step, MODES_BY_NAME[setup.file.run.mode], start.sequence, zero)
@@ -329,8 +330,8 @@ def _ready(step: Step, start: Start, warnings: list[str]) -> dict[str, Any]:
 def _rehearse(setup: Setup, ports: Ports, output: IntArray | None) -> list[str]:
     """Run the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
 
-    The step is a second one that holds the actuator's output: nothing moves, nothing is recorded. An actuator that has
-    not reported its output gets no command before it does.
+    The step is a second one that stands at the actuator's output, even beyond a limit: nothing moves, nothing is
+    recorded. An actuator that has not reported its output gets no command before it does.
     """
     step = Step(setup.step_settings())
     if output is not None:
@@ -339,7 +340,7 @@ def _rehearse(setup: Setup, ports: Ports, output: IntArray | None) -> list[str]:
     warnings = prepare_process(setup.file.realtime)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     clock, parent = RealClock(), starter()
-    loop = Loop(step, ports, clock, min(setup.period_ns, LONGEST_REHEARSED_NS), rows, MODE_HOLD)
+    loop = Loop(step, ports, clock, min(setup.period_ns, LONGEST_REHEARSED_NS), rows, MODE_HOLD | OUTPUT_TROUBLE)
     if output is None:
         loop.take_over(None)
     loop.run(REHEARSAL_CYCLES, lambda _: os.getppid() == parent)

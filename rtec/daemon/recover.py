@@ -6,8 +6,8 @@ have changed meanwhile is forgotten: the direction of an axis that moved, and ev
 computer. An ordered hold or fade stays, however the run ended; after one that did not end in order, any ordered mode.
 
 An actuator that lost its ledger meanwhile has restarted: its counts may have another meaning now. The loop then waits
-for the order to resume; after a run that ended in order only where it inserts counts. An offset register may begin the
-day at zero: no count depends on what it was.
+for the order to resume. After a run that ended in order an offset register may also begin the day at zero: no count
+depends on what it was. A ledger beyond the stop limit waits for the order in any case (`rtec.loop.output.beyond`).
 """
 
 from dataclasses import dataclass, field
@@ -58,6 +58,7 @@ class Start:
     Attributes:
         output: the ledger at the beginning.
         expected: output that the actuator should have, where it has not reported yet; None: any.
+        or_zero: it may have nothing, too.
         mode: the mode at the beginning.
         waits: why the order to resume is needed first; "" where it is not.
         notes: what was taken over, in words.
@@ -70,6 +71,7 @@ class Start:
     notes: list[str] = field(default_factory=list)
     sequence: int = 0
     expected: IntArray | None = None
+    or_zero: bool = False
 
 
 def recover(step: Step, at_start: AtStart) -> Start:
@@ -87,15 +89,15 @@ def recover(step: Step, at_start: AtStart) -> Start:
     else:
         step.rest()
     trusts = saved.clean and not at_start.inserts
-    waits = "" if trusts else _why_wait(step, at_start, saved, output)
-    expected = saved.output if at_start.output is None and not waits and not trusts else None
+    waits = _why_wait(step, at_start, saved, output, or_zero=trusts)
+    expected = saved.output if at_start.output is None and not waits else None
     mode = _mode(saved, at_start.start_mode)
     if saved.clean:
         stays = saved.structure == structure_of(step) and mode != at_start.start_mode  # not that of a sign check
         mode, notes = (mode, [ORDER_STAYS.format(NAMES[mode])]) if stays else (at_start.start_mode, [])
     else:
         notes = [_note(step, saved, output, mode)]
-    return Start(output, mode, waits, notes, saved.sequence, expected)
+    return Start(output, mode, waits, notes, saved.sequence, expected, or_zero=trusts)
 
 
 NAMES = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold"}
@@ -134,11 +136,11 @@ def _moved(step: Step, saved: Saved, counts: IntArray | None) -> NDArray[np.bool
     return np.asarray(mm > step.constants("dead_band"), np.bool_)
 
 
-def _why_wait(step: Step, at_start: AtStart, saved: Saved, output: IntArray) -> str:
+def _why_wait(step: Step, at_start: AtStart, saved: Saved, output: IntArray, or_zero: bool) -> str:
     """Why an order is needed; "" where it is not."""
-    if saved.waits:
+    if saved.waits and not or_zero:
         return f"the run before was stopped while it waited for an order to resume; {HOLDS}"
-    return lost(step, saved.output, output, allowed(step, at_start.slack_s))
+    return lost(step, saved.output, output, allowed(step, at_start.slack_s), or_zero=or_zero)
 
 
 def allowed(step: Step, slack_s: float) -> IntArray:

@@ -20,6 +20,7 @@ from rtec.doctor.readings import (
     Ability,
     DeviceReadings,
     count_faults,
+    output_faults,
     reasons,
     serial_places,
     shared_ports,
@@ -124,6 +125,7 @@ class Look:
         if "actuator" in self.found.roles and isinstance(self._device, CAN_BE["actuator"]):
             try:
                 self.found.values += readings.output_values()
+                self.found.wrong += output_faults(self._patient, readings)
             except DriverError as e:
                 self._wrong(e)
         for ability in abilities:

@@ -149,7 +149,7 @@ class DeviceReadings:
 
     def __init__(self, device: Any, patient: Patient, clock: Clock) -> None:
         self._device, self._patient, self._machine, self._clock = device, patient, patient.machine, clock
-        self.counts = np.zeros(len(self._machine.axes), np.int64)
+        self.counts, self.output = np.zeros((2, len(self._machine.axes)), np.int64)
         self._degc = np.full(len(self._machine.sensors), np.nan)
         self._degc_ns = np.zeros(len(self._machine.sensors), np.int64)
         self._rpm = float("nan")
@@ -189,10 +189,9 @@ class DeviceReadings:
 
     def output_values(self) -> list[Value]:
         """Output that an actuator reports; raises its errors."""
-        output = np.zeros(len(self._machine.axes), np.int64)
-        self._device.read_output(output)
+        self._device.read_output(self.output)
         out = []
-        for axis, applied in zip(self._machine.axes, output.tolist(), strict=True):
+        for axis, applied in zip(self._machine.axes, self.output.tolist(), strict=True):
             kind = self._patient.file.output.get(axis.name, PulseSink()).kind
             unit = "counts" if kind == "pulse" else "units"
             out.append(Value(f"applied {axis.name}", float(applied), unit, 0))
@@ -464,6 +463,19 @@ def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -
         )
         faults.append(DeviceFault(what, (enough,)))
     return faults, [] if took[0] > cycle_ms else [text]
+
+
+def output_faults(patient: Patient, readings: DeviceReadings) -> list[DeviceFault]:
+    """Output beyond the stop limit, where the loop waits for an order (`rtec.loop.output.beyond`)."""
+    out = []
+    for axis, units in zip(patient.machine.axes, readings.output.tolist(), strict=True):
+        limits, scale = patient.file.limits.get(axis.name), patient.file.output.get(axis.name, PulseSink()).scale(axis)
+        um = units / scale.units_per_um
+        if limits is None or abs(um) <= limits.stop_um + scale.quantum / abs(scale.units_per_um):
+            continue
+        what = f"it has {um:+.2f} µm of axis {axis.name}, and stop_um is {limits.stop_um:g}: the loop would wait"
+        out.append(DeviceFault(what, ("set it back by hand, or order it back slowly: `rtec ctl resume`",)))
+    return out
 
 
 def temperature_faults(patient: Patient, readings: DeviceReadings, now_ns: int) -> list[DeviceFault]:

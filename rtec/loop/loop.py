@@ -141,9 +141,9 @@ class Loop:
         self.step.forget_directions(home.axes, self._counts)
         return True
 
-    def take_over(self, expected: IntArray | None, allowed: IntArray | None = None) -> None:
+    def take_over(self, expected: IntArray | None, allowed: IntArray | None = None, or_zero: bool = False) -> None:
         """Hold and command nothing until the actuator reports its ledger; see `CommandGate.take_over`."""
-        self._gate.take_over(expected, allowed)
+        self._gate.take_over(expected, allowed, or_zero)
 
     @property
     def waits(self) -> bool:

@@ -35,13 +35,40 @@ def in_words(step: Step, output: IntArray) -> str:
     return ", ".join(f"{axis} {units / scale + 0.0:+.2f} µm" for axis, units, scale in axes if scale)
 
 
-def lost(step: Step, expected: IntArray, has: IntArray, allowed: IntArray, source: str = "the run before left") -> str:
-    """Message on an actuator whose ledger differs from the expected one by more than allowed; else ""."""
-    if (np.abs(has - expected) <= allowed).all():
+def lost(
+    step: Step,
+    expected: IntArray,
+    has: IntArray,
+    allowed: IntArray,
+    source: str = "the run before left",
+    or_zero: bool = False,
+) -> str:
+    """Message on an actuator whose ledger differs from the expected one by more than allowed; else "".
+
+    `or_zero`: an axis may have nothing instead.
+    """
+    if ((np.abs(has - expected) <= allowed) | (or_zero & (has == 0))).all():
         return ""
     return (
         f"the actuator has {in_words(step, has)}, {source} {in_words(step, expected)}: it restarted, something else "
         f"wrote to it, or it reads in another unit, and its output may mean something else now; {HOLDS}"
+    )
+
+
+def beyond(step: Step, output: IntArray) -> str:
+    """Message on an output beyond the stop limit, which is no correction of these limits; else "".
+
+    The ledger holds whole quanta, so it may be one beyond the limit that the correction itself keeps.
+    """
+    per_um, stop = step.constants("per_um"), step.constants("stop")
+    over = (per_um != 0.0) & (np.abs(output) - np.abs(per_um) * stop > step.constants("quantum"))
+    names = [name for name, is_over in zip(step.layout.axes, over.tolist(), strict=True) if is_over]
+    if not names:
+        return ""
+    limits = ", ".join(f"stop_um of {name} is {stop[step.layout.axes.index(name)]:g}" for name in names)
+    return (
+        f"the actuator has {in_words(step, output)}, and {limits}: no correction within these limits. Set it back by "
+        f"hand, or order it back to the limit slowly by resuming; {HOLDS}"
     )
 
 
@@ -71,7 +98,8 @@ class CommandGate:
         self._allowed: IntArray | None = None
         self._step: Step | None = None
         self._last = self.has
-        self._known = self._failed = self._in_trouble = self._far = self._foreign = False
+        self._known = self._failed = self._in_trouble = self._far = self._foreign = self._beyond = False
+        self._or_zero = False
         self._unconfirmed_ns: int | None = None
 
     @property
@@ -79,15 +107,17 @@ class CommandGate:
         """Does it wait for its ledger, or for an order to resume?"""
         return self.takes_over or self._waiting.now or bool(self._resumable and self._resumable.must_resume)
 
-    def take_over(self, expected: IntArray | None, allowed: IntArray | None) -> None:
+    def take_over(self, expected: IntArray | None, allowed: IntArray | None, or_zero: bool = False) -> None:
         """Hold and command nothing until the actuator reports its ledger; go on from that ledger.
 
         Args:
-            expected: ledger it should have; where it differs by more than `allowed`, the loop waits for an order.
-            allowed: by axis; both None: any ledger is accepted.
+            expected: ledger it should have; where it differs by more than `allowed`, the loop waits for an order. None:
+                any within the stop limit.
+            allowed: by axis; None: it was ordered, and any ledger is accepted.
+            or_zero: nothing is accepted, too, by axis.
         """
         self.takes_over, self._expected, self._allowed = self._present, expected, allowed
-        self._foreign = False
+        self._foreign, self._or_zero = False, or_zero
 
     def look(self, step: Step, order: int, now_ns: int) -> int:
         """Read the actuator's output before a cycle; give the cycle's mode.
@@ -117,7 +147,7 @@ class CommandGate:
         confirmed = last.tobytes() == self.has.tobytes()
         if confirmed and not self._failed:
             self._well()
-            return order
+            return order | OUTPUT_TROUBLE if self._foreign and self._beyond else order
         if self._unconfirmed_ns is None:
             self._unconfirmed_ns = now_ns
         for_ns = now_ns - self._unconfirmed_ns
@@ -135,7 +165,7 @@ class CommandGate:
             self._waiting.failed(changed)
         if self._foreign or (begins and self._failed and not confirmed):
             step.resume(self.has)
-            self._far = False
+            self._far, self._beyond = False, bool(beyond(step, self.has))
             return MODE_TAKEN_OVER | OUTPUT_TROUBLE
         return order | OUTPUT_TROUBLE
 
@@ -155,12 +185,15 @@ class CommandGate:
         step.resume(self.has)
         self.takes_over = self._failed = False
         self._well()
-        if self._expected is not None and self._allowed is not None:
-            why = lost(step, self._expected, self.has, self._allowed)
+        if self._allowed is not None:
+            why = beyond(step, self.has)
+            self._beyond = bool(why)
+            if not why and self._expected is not None:
+                why = lost(step, self._expected, self.has, self._allowed, or_zero=self._or_zero)
             if why:
                 self._foreign = True
                 self._waiting.failed(why)
-        return MODE_TAKEN_OVER
+        return MODE_TAKEN_OVER | OUTPUT_TROUBLE if self._foreign and self._beyond else MODE_TAKEN_OVER
 
     def _well(self) -> None:
         self._in_trouble = self._far = self._trouble.now = False

@@ -119,7 +119,7 @@ def step(
             why |= limited
             if may_command(decision) and t >= due[a]:
                 due[a] = t + period[a]
-                units, saturated = within_sink(now[a] * per_um[a], lowest[a], highest[a])
+                units, saturated = within_sink(now[a] * per_um[a], out[a], lowest[a], highest[a])
                 why |= saturated
                 out[a], allowance[a] = ledger_update(
                     units, out[a], allowance[a], dt, quantum[a], rate[a]

@@ -1,9 +1,13 @@
 """MQTT: retained state with its last will, values with one message in flight, events (`docs/mqtt.md`)."""
 
 import asyncio
+import hashlib
 import json
 import re
+import socket
 import ssl
+import uuid
+from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +23,8 @@ KEEPALIVE_S: Final = 15
 """s; after one and a half times this without a sign of life, the broker sends the last will."""
 FIRST_WAIT_S: Final = 1.0
 LONGEST_WAIT_S: Final = 30.0
+SENT: Final = 64
+"""Number of own states that are remembered, to tell them from those of others."""
 AGAIN_S: Final = 60.0
 """Period, s, of repeating an unchanged retained state, which a broker may have lost."""
 LONGEST_PASSWORD: Final = 4096
@@ -92,11 +98,29 @@ def values(report: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "utc": instant(report),
+        "machine": report["machine"],
         **machine(report),
         "axes": axes(report),
         "temperatures": sensors(report),
         "conditions": [vars(condition) for condition in conditions(report)],
     }
+
+
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+
+
+OFFLINE: Final = _text({"schema": SCHEMA, "state": "offline"})
+
+
+def client_name(topic: str, base: Path) -> str:
+    """Name of the connection at the broker, which cuts off an earlier one of the same name.
+
+    It is the same whenever this run file is served on this computer, and another one anywhere else. 20 letters and
+    digits: every broker takes so many (MQTT 3.1.1, 3.1.3.1).
+    """
+    place = "\0".join((socket.gethostname(), str(uuid.getnode()), str(base.resolve()), topic))
+    return "rtec" + hashlib.sha256(place.encode()).hexdigest()[:16]
 
 
 def server(task: Any, say: Say) -> "Publisher":
@@ -121,10 +145,12 @@ class Publisher:
         import aiomqtt
 
         self._table, self._topic, self._say = table, topic, say
-        will = aiomqtt.Will(f"{topic}/state", _text({"schema": SCHEMA, "state": "offline"}), qos=1, retain=True)
-        self._options = {**prepare(table, base), "identifier": topic.replace("/", "-"), "will": will}
+        will = aiomqtt.Will(f"{topic}/state", OFFLINE, qos=1, retain=True)
+        self._options = {**prepare(table, base), "identifier": client_name(topic, base), "will": will}
         self._wait_s = FIRST_WAIT_S
         self._heard = ""
+        self._sent: deque[str] = deque(maxlen=SENT)
+        self._others_told = False
         self._events: tuple[int, int] | None = None
 
     async def serve(self, follower: Follower) -> None:
@@ -149,8 +175,7 @@ class Publisher:
             try:
                 await self._publish(client, follower)
             except asyncio.CancelledError:  # an orderly end: the will is not for this
-                offline = _text({"schema": SCHEMA, "state": "offline"})
-                await client.publish(f"{self._topic}/state", offline, qos=1, retain=True, timeout=1.0)
+                await client.publish(f"{self._topic}/state", OFFLINE, qos=1, retain=True, timeout=1.0)
                 raise
             finally:
                 listening.cancel()
@@ -161,6 +186,7 @@ class Publisher:
             text = _text(state(follower))
             if text != published or self._heard != published or now() - since_s > AGAIN_S:
                 self._heard = published = text
+                self._sent.append(text)
                 await client.publish(f"{self._topic}/state", text, qos=1, retain=True)
                 since_s, self._wait_s = now(), FIRST_WAIT_S
             if (report := follower.live) is not None:
@@ -174,6 +200,14 @@ class Publisher:
         async for message in client.messages:
             if message.topic.value == f"{self._topic}/state":
                 self._heard = bytes(message.payload).decode(errors="replace")
+                self._look_for_others(message.retain)
+
+    def _look_for_others(self, retained: bool) -> None:
+        """Tell people once of another machine under the same topics; a retained state, or a will, may be our own."""
+        if retained or self._others_told or self._heard in self._sent or self._heard == OFFLINE:
+            return
+        self._others_told = True
+        self._say(f"another program publishes {self._topic}/state, too: give each machine a topic of its own")
 
     async def _send_events(self, client: Any, report: Mapping[str, Any]) -> None:
         for event in self._new_events(report):
@@ -188,7 +222,3 @@ class Publisher:
         new = report["events_total"] - (total if pid == report["pid"] else 0)
         events: list[dict[str, Any]] = report["events"]
         return events[-new:] if new > 0 else []
-
-
-def _text(content: Mapping[str, Any]) -> str:
-    return json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":"))

@@ -21,7 +21,7 @@ from uuid import NAMESPACE_URL, uuid5
 from rtec.errors import RtecError
 from rtec.loop.clock import wall_clock_iso
 from rtec.loop.telemetry_tables import MtconnectTable, host_and_port
-from rtec.telemetry.values import Follower, StatusCondition, axes, conditions, instant, machine, sensors
+from rtec.telemetry.values import Follower, StatusCondition, axes, conditions, instant, machine, sensors, steady
 
 HEARTBEAT_MS: Final = 10_000
 """Period, ms, that the agent is given: it asks at least this often. Each side gives up the other after twice that."""
@@ -122,7 +122,7 @@ class SentToAgent:
         at, available = instant(report), report is not None
         lost: tuple[str, ...] = (UNAVAILABLE,)
         new = values(report) if report is not None else dict.fromkeys(everything, lost)
-        active = {c.code: c for c in conditions(report)} if report is not None else {}
+        active = steady(conditions(report), self.conditions) if report is not None else {}
         began = available is not self.available
         if began:
             yield f"{at}|avail|{'AVAILABLE' if available else UNAVAILABLE}"

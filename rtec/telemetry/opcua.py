@@ -17,11 +17,13 @@ from rtec.telemetry.values import (
     OF_SENSOR,
     Follower,
     Quantity,
+    StatusCondition,
     axes,
     conditions,
     instant,
     machine,
     sensors,
+    steady,
 )
 
 if TYPE_CHECKING:
@@ -95,12 +97,11 @@ def server(task: Any, say: Callable[[str], None]) -> "UaPublisher":
     return UaPublisher(task.table, task.config.parent, task.machine, say)
 
 
-def values(report: Mapping[str, Any]) -> Values:
-    """Values of a status, by node such as `Axes.X.position_mm`; None where unknown."""
+def values(report: Mapping[str, Any], active: Sequence[StatusCondition]) -> Values:
+    """Values of a status with its conditions, by node such as `Axes.X.position_mm`; None where unknown."""
     out: Values = {f"Axes.{axis}.{key}": v for axis, of in axes(report).items() for key, v in of.items()}
     out |= {f"Temperatures.{name}.{key}": v for name, of in sensors(report).items() for key, v in of.items()}
     out |= machine(report)
-    active = list(conditions(report))
     out["Conditions"] = [f"{c.level}: {c.code}: {c.text}" for c in active]
     out["DeviceHealth"] = FAILURE if any(c.level == "fault" for c in active) else OFF_SPEC if active else NORMAL
     out["SoftwareRevision"] = report["rtec_version"]
@@ -154,6 +155,7 @@ class UaPublisher:
         self._table, self._base, self._machine, self._say = table, base, machine, say
         self._nodes: dict[str, Any] = {}
         self._written: Values = {}
+        self._conditions: dict[str, StatusCondition] = {}
 
     async def serve(self, follower: Follower) -> None:
         """Serve until cancelled; the address space is made when the daemon first answers."""
@@ -278,7 +280,8 @@ class UaPublisher:
     async def _write(self, report: Mapping[str, Any] | None) -> None:
         from asyncua import ua
 
-        new = {} if report is None else values(report)
+        self._conditions = {} if report is None else steady(conditions(report), self._conditions)
+        new = {} if report is None else values(report, list(self._conditions.values()))
         missing = ua.StatusCodes.BadNoCommunication if report is None else ua.StatusCodes.BadDataUnavailable
         at = datetime.fromisoformat(instant(report))
         for node, made in self._nodes.items():

@@ -4,12 +4,14 @@ They come from the newest status, by the local socket of the daemon that only re
 """
 
 import asyncio
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from rtec.control.facts import positions_unknown
 from rtec.control.messages import RequestError, read_answer, request
 from rtec.control.places import status_of_config
 from rtec.correction.flags import HOLD_REASONS, REASONS, Flag
@@ -72,30 +74,38 @@ class StatusCondition:
 
 
 def axes(report: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
-    """The values of each axis, by `OF_AXIS`; None where unknown."""
+    """The values of each axis, by `OF_AXIS`; None where unknown. A position that is stale or has no zero is unknown."""
     status, residual = report["status"], report["left"]["axes"]
+    current = Flag.STALE_COUNTS.name not in status["flags"] and not positions_unknown(status)
     return {
         axis: {
-            "position_mm": status["position_mm"].get(axis),
-            "requested_um": status["requested_um"].get(axis),
-            "applied_um": status["applied_um"].get(axis),
-            "residual_um": residual.get(axis, {}).get("rms_um"),
+            "position_mm": _rounded(status["position_mm"].get(axis)) if current else None,
+            "requested_um": _rounded(status["requested_um"].get(axis)),
+            "applied_um": _rounded(status["applied_um"].get(axis)),
+            "residual_um": _rounded(residual.get(axis, {}).get("rms_um")),
         }
         for axis in report["axes"]
     }
 
 
 def sensors(report: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
-    """The values of each temperature sensor, by `OF_SENSOR`."""
-    status = report["status"]
-    degc, age_s = status["degc"], status["degc_age_s"]
-    return {
-        name: {
-            "temperature_degc": degc.get(name),
-            "age_s": None if degc.get(name) is None else age_s.get(name),
-        }
-        for name in report["sensors"]
-    }
+    """The values of each temperature sensor, by `OF_SENSOR`; a temperature that the guard calls stale is unknown.
+
+    As for the guard, an instant of the future is as old as it is ahead.
+    """
+    status, most_s = report["status"], report["temperature_max_age_s"]
+    out: dict[str, dict[str, float | None]] = {}
+    for name in report["sensors"]:
+        degc, age_s = status["degc"].get(name), status["degc_age_s"].get(name)
+        age_s = None if degc is None or age_s is None else abs(age_s)
+        current = age_s is not None and age_s <= most_s
+        out[name] = {"temperature_degc": degc if current else None, "age_s": _rounded(age_s, 3)}
+    return out
+
+
+def _rounded(value: float | None, digits: int = 6) -> float | None:
+    """Without the digits that only arithmetic has made."""
+    return None if value is None else round(value, digits)
 
 
 def machine(report: Mapping[str, Any]) -> dict[str, float | str | None]:
@@ -122,6 +132,22 @@ def conditions(report: Mapping[str, Any]) -> Iterator[StatusCondition]:
         yield StatusCondition(clean(f"part {name}"), "fault", clean(text))
     if status["log"]:
         yield StatusCondition("log", "warning", clean(status["log"]))
+
+
+_DURATION: Final = re.compile(r"\d+(\.\d+)?(?= (ms|s|min|h)\b)")
+
+
+def steady(new: Iterable[StatusCondition], before: Mapping[str, StatusCondition]) -> dict[str, StatusCondition]:
+    """Conditions by code; one of which only durations have changed stays as it was.
+
+    "No message for 1.2 s" would else be another one ten times a second, and push all else out of a client's history.
+    """
+    out: dict[str, StatusCondition] = {}
+    for one in new:
+        old = before.get(one.code)
+        same = old is not None and (old.level, _DURATION.sub("", old.text)) == (one.level, _DURATION.sub("", one.text))
+        out[one.code] = old if same and old is not None else one
+    return out
 
 
 def stands(report: Mapping[str, Any]) -> bool:

@@ -189,8 +189,14 @@ def test_each_decision_moves_the_correction_in_its_own_way() -> None:
 
 def test_a_sink_gives_no_more_than_it_can_and_says_so() -> None:
     more = Flag.OUTPUT_SATURATED
-    found = [guard.within_sink(units, -8.0, 7.0) for units in (-9.0, -8.0, 7.0, 8.5)]
+    found = [guard.within_sink(units, 0, -8.0, 7.0) for units in (-9.0, -8.0, 7.0, 8.5)]
     assert found == [(-8.0, more), (-8.0, 0), (7.0, 0), (7.0, more)]
+
+
+def test_a_ledger_outside_the_sinks_range_comes_back_as_fast_as_the_correction() -> None:
+    """By hand: from 50 in a range to 7 the next command is 49.5 and not 7, and 60 is not further away."""
+    found = [guard.within_sink(units, output, -8.0, 7.0)[0] for units, output in ((49.5, 50), (60.0, 50), (-20.0, -19))]
+    assert found == [49.5, 50.0, -19.0]
 
 
 def test_without_numba_the_guard_is_plain_python() -> None:

@@ -16,6 +16,7 @@ from rtec.errors import DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports
 from rtec.loop.loop import Loop, bind_rows
+from rtec.loop.output import lost
 from rtec.loop.records import Commands, Samples
 from rtec.loop.step import Step
 from tests.support import setups
@@ -104,6 +105,31 @@ def test_one_that_lost_its_ledger_meanwhile_is_waited_with(tmp_path: Path) -> No
     assert "the actuator has X +0.00 µm, Z +0.00 µm, the run before left X -21.00 µm, Z +15.50 µm" in reason
     loop.order_resume()
     assert loop.stats.reasons() == {}
+
+
+def test_an_output_beyond_the_stop_limit_stays_until_an_order_and_comes_back_slowly(tmp_path: Path) -> None:
+    """1000 counts are 500 µm, stop_um is 100. Oracle: no command before the order; then one count a cycle at most."""
+    box, loop, samples, commands = start(tmp_path, (1000, 0), None)
+    assert not box.told
+    assert (samples.mode[200:] == MODE_HOLD | OUTPUT_TROUBLE).all()
+    assert (commands.output[199:, 0] == 1000).all()
+    assert (commands.applied_um[199:, 0] == -500.0).all()
+    (reason,) = loop.stats.reasons()["box"]
+    assert "the actuator has X -500.00 µm, Z +0.00 µm, and stop_um of X is 100" in reason
+    loop.order_resume()
+    loop.mode = MODE_HOLD
+    loop.run(CYCLES, lambda _: True)
+    steps = np.abs(np.diff([told for _, told in box.told], axis=0))
+    assert steps.max() == 1
+    assert box.told[-1][1][0] < 1000
+
+
+def test_an_offset_may_begin_the_day_at_zero_but_with_nothing_else(tmp_path: Path) -> None:
+    """Oracle: by hand; 42 was left, 0 is a controller that was switched off, 20 is somebody else's."""
+    step = Step(setups.setup(tmp_path).step_settings())
+    allowed, left = np.array([5, 5]), np.array([42, -31])
+    told = [bool(lost(step, left, np.array(has), allowed, or_zero=True)) for has in ([0, 0], [42, 0], [20, 0])]
+    assert told == [False, False, True]
 
 
 class _Silent(LateBox):

@@ -6,7 +6,11 @@ from typing import Any
 
 import pytest
 
+from rtec.daemon.dry_run import dry_run
 from rtec.loop.clock import RealClock, VirtualClock
+from rtec.loop.ports import IntArray
+from rtec.loop.run_file import load_setup
+from rtec_drivers.sim import SimDriver
 from tests.support.doctor_rig import ALL_SIM, Fake, run_file, seen, sim, texts, with_fake
 
 pytestmark = pytest.mark.xdist_group("real-clock")
@@ -45,6 +49,22 @@ def test_an_actuator_is_never_told_anything(tmp_path: Path, monkeypatch: pytest.
     assert kind.asked == ["closed"]
     values = {v.name: (v.value, v.unit) for v in by_name["fake"].values if v.name.startswith("applied")}
     assert values == {"applied X": (12.0, "counts"), "applied Z": (-7.0, "counts")}
+
+
+def test_an_output_beyond_the_stop_limit_is_said_before_a_run_waits_for_an_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By hand: 240 counts are 120 µm of X, stop_um is 100; 200 counts are 100."""
+
+    def has(_: SimDriver, output: IntArray) -> None:
+        output[:] = [-240, 200]
+
+    monkeypatch.setattr(SimDriver, "read_output", has)
+    path = run_file(tmp_path, ALL_SIM, {"box": sim(tmp_path)})
+    _, by_name = seen(path, 0.2)
+    assert "it has +120.00 µm of axis X, and stop_um is 100: the loop would wait" in texts(by_name["box"])
+    (reason,) = [r for r in dry_run(load_setup(path))["reasons"] if "actuator" in r]
+    assert reason.startswith("the actuator has X +120.00 µm, Z -100.00 µm, and stop_um of X is 100")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from rtec.control.server import Control
+from rtec.correction.flags import Flag
 from rtec.errors import ConfigError
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup
@@ -72,11 +73,37 @@ def test_what_a_subscriber_gets(setup: Setup, daemon: LivingDaemon, broker: Brok
     assert not retained
     x = {"position_mm": 100 / 2000, "requested_um": 1.5, "applied_um": 1.25, "residual_um": None}
     assert values["axes"]["X"] == x
+    assert values["machine"] == "turning-centre"
     assert values["axes"]["Z"]["applied_um"] is None
     assert values["temperatures"]["T_bed"] == {"temperature_degc": 21.25, "age_s": 0.5}
     assert values["temperatures"]["T_air"] == {"temperature_degc": None, "age_s": None}
     assert values["mode"] == "on"
     assert values["conditions"] == [{"code": 'device box "1"', "level": "fault", "text": "silent"}]
+
+
+def test_what_is_stale_is_not_known_and_has_its_age(setup: Setup, daemon: LivingDaemon, broker: Broker) -> None:
+    """By hand: `temperature_max_age_s` of this run file is 30; the counts are stale by the guard's own flag."""
+    assert setup.file.guard.temperature_max_age_s == 30.0
+    daemon.status.flags = Flag.STALE_COUNTS | Flag.HELD
+    daemon.status.degc_age_s = {"T_bed": 30.1}
+    with served(task(setup, broker.place)), Subscriber(broker) as sub:
+        _, values = sub.until(lambda topic, _: topic == "rtec/mill/values")
+    assert values["axes"]["X"]["position_mm"] is None
+    assert values["axes"]["X"]["applied_um"] == 1.25
+    assert values["temperatures"]["T_bed"] == {"temperature_degc": None, "age_s": 30.1}
+
+
+def test_two_machines_with_one_topic_are_told_and_do_not_cut_each_other_off(
+    setup: Setup, daemon: LivingDaemon, broker: Broker, tmp_path: Path
+) -> None:
+    """Oracle: the broker's own log has no client that another one has taken over."""
+    del daemon
+    other = setups.setup(tmp_path)
+    two = Task("mqtt", task(setup, broker.place).table, other.path, "another")
+    with served(task(setup, broker.place)) as said, served(two) as told:
+        soon(RealClock(), lambda: any("give each machine a topic of its own" in line for line in (*said, *told)))
+    assert not any("already connected" in line for line in broker.log)
+    assert not any("tried again" in line for line in (*said, *told))
 
 
 def test_the_end_in_order_is_offline(setup: Setup, daemon: LivingDaemon, broker: Broker) -> None:
@@ -95,7 +122,8 @@ def test_the_last_will(setup: Setup, daemon: LivingDaemon, broker: Broker) -> No
     del daemon
     with served(task(setup, broker.place)), Subscriber(broker) as sub:
         sub.until(lambda _, content: content.get("state") == "running")
-        with Subscriber(broker, "-i", "rtec-mill") as _usurper:  # the same name at the broker: the first is cut off
+        usurper = Subscriber(broker, "-i", mqtt.client_name("rtec/mill", setup.path.parent))
+        with usurper:  # the same name at the broker: the first is cut off
             sub.until(lambda _, content: content.get("state") == "offline")
         sub.until(lambda _, content: content.get("state") == "running")
 

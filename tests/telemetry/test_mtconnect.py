@@ -22,7 +22,7 @@ from rtec.loop.telemetry_tables import MtconnectTable
 from rtec.telemetry import mtconnect
 from rtec.telemetry.mtconnect import device_file
 from rtec.telemetry.processes import Task
-from rtec.telemetry.values import StatusCondition
+from rtec.telemetry.values import StatusCondition, steady
 from rtec.tomlfile import validated
 from tests.support import setups
 from tests.support.conformance import soon
@@ -218,6 +218,18 @@ def test_conditions_are_the_reasons_of_the_guard(
         agent.until(lambda a: not a.active["hardware"] and len(a.active["system"] or ()) == 1)
         assert agent.active["communications"] == {}
         assert agent.active["system"] == {"ORDERED_HOLD": ("WARNING", hold)}
+
+
+def test_a_text_whose_durations_alone_change_is_no_news() -> None:
+    """By hand: the silence grows, then another device's words, and another level, are news."""
+    one = {c.code: c for c in [StatusCondition("device a", "fault", "no message for 1.1 s")]}
+    assert steady([StatusCondition("device a", "fault", "no message for 12.3 s")], one) == one
+    other = StatusCondition("device a", "fault", "wrong message 12.3")
+    assert steady([other], one) == {"device a": other}
+    slaves = [StatusCondition("device a", "fault", f"slave {k}: no answer") for k in (3, 4)]
+    assert steady(slaves[1:], {"device a": slaves[0]}) == {"device a": slaves[1]}
+    milder = StatusCondition("device a", "warning", "no message for 1.1 s")
+    assert steady([milder], one) == {"device a": milder}
 
 
 @pytest.mark.parametrize("flag", REASONS)

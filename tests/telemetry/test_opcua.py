@@ -180,18 +180,20 @@ def test_values_units_and_loss(place: str, keys: Path, daemon: LivingDaemon) -> 
         daemon._status.flags = Flag.STALE_COUNTS | Flag.HELD
         while (health := await reading(client, "DeviceHealth", "Conditions"))[0][0] != opcua.FAILURE:
             await asyncio.sleep(0.02)
+        stale = await reading(client, "Axes.X.position_mm")
         daemon.stands = True
-        while (lost := await reading(client, "Axes.X.position_mm"))[0][1] == "Good":
+        while (lost := await reading(client, "Axes.X.position_mm"))[0][1] != "BadNoCommunication":
             await asyncio.sleep(0.02)
         daemon._status.flags, daemon.stands = Flag(0), False
         while (await reading(client, "Axes.X.position_mm"))[0][1] != "Good":
             await asyncio.sleep(0.02)
-        return found, units, health, lost
+        return found, units, health, stale, lost
 
-    found, units, health, lost = asked(place, keys, "office", look)
+    found, units, health, stale, lost = asked(place, keys, "office", look)
     assert found == [(0.05, "Good"), (1.25, "Good"), (None, "BadDataUnavailable"), ("on", "Good")]
     assert [(u.UnitId, u.DisplayName.Text) for u in units] == [(5066068, "mm"), (13384, "µm")]
     assert health[1][0] == ["fault: STALE_COUNTS: counts are stale"]
+    assert stale == [(None, "BadDataUnavailable")]
     assert lost == [(None, "BadNoCommunication")]
 
 
