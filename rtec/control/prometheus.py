@@ -3,6 +3,7 @@
 It has no authentication, so it listens on this computer only (`rtec.control.server`); it is read-only.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from http import HTTPStatus
 from typing import Any, Final
@@ -12,6 +13,8 @@ from rtec.text import clean
 
 CONTENT: Final = "text/plain; version=0.0.4; charset=utf-8"
 _MODES: Final = ("on", "off", "hold")
+_OURS: Final = re.compile(rb"(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d+)?", re.IGNORECASE)
+"""Names of this computer alone: a web page that gives its own name to this address (DNS rebinding) reads nothing."""
 
 
 def http_answer(head: bytes, status: Callable[[], Mapping[str, Any]]) -> bytes:
@@ -21,20 +24,24 @@ def http_answer(head: bytes, status: Callable[[], Mapping[str, Any]]) -> bytes:
         head: request line and header lines.
         status: gives the status.
     """
-    method, path, *_ = [*head.split(b"\r\n", 1)[0].split(b" "), b"", b""]
-    if method != b"GET":
+    first, *lines = head.split(b"\r\n")
+    method, path, *_ = [*first.split(b" "), b"", b""]
+    host = next((line.partition(b":")[2].strip() for line in lines if line.lower().startswith(b"host:")), b"localhost")
+    if not _OURS.fullmatch(host):
+        code, body = HTTPStatus.MISDIRECTED_REQUEST, b""
+    elif method != b"GET":
         code, body = HTTPStatus.NOT_IMPLEMENTED, b""
-    elif path != b"/metrics":
+    elif path.partition(b"?")[0] != b"/metrics":
         code, body = HTTPStatus.NOT_FOUND, b""
     else:
         code, body = HTTPStatus.OK, metrics(status()).encode()
-    lines = (
+    answer = (
         f"HTTP/1.1 {code.value} {code.phrase}",
         f"Content-Type: {CONTENT}",
         f"Content-Length: {len(body)}",
         "Connection: close",
     )
-    return "\r\n".join((*lines, "", "")).encode() + body
+    return "\r\n".join((*answer, "", "")).encode() + body
 
 
 def metrics(report: Mapping[str, Any]) -> str:
@@ -58,8 +65,10 @@ def _families(report: Mapping[str, Any]) -> Iterator[tuple[str, str, str, _Value
     residual = {axis: of["rms_um"] for axis, of in report["left"]["axes"].items()}
     yield "left_um", "gauge", "Residual of the last measurement, root mean square, um.", _by("axis", residual)
     yield "temperature_celsius", "gauge", "Temperatures.", _by("sensor", status["degc"])
-    yield "temperature_age_seconds", "gauge", "Age of the temperatures.", _by("sensor", status["degc_age_s"])
-    yield "counts_age_seconds", "gauge", "Age of the axis counts.", [({}, status["counts_age_s"])]
+    since_s = report["status_age_s"] or 0.0
+    ages = {sensor: None if age is None else age + since_s for sensor, age in status["degc_age_s"].items()}
+    yield "temperature_age_seconds", "gauge", "Age of the temperatures.", _by("sensor", ages)
+    yield "counts_age_seconds", "gauge", "Age of the axis counts.", [({}, status["counts_age_s"] + since_s)]
     yield "spindle_rpm", "gauge", "Spindle speed, 1/min.", [({}, status["spindle_rpm"])]
     yield "status_age_seconds", "gauge", "Age of the loop's newest row.", [({}, report["status_age_s"])]
     yield "mode", "gauge", "1 for the mode that is ordered.", _by("mode", {m: m == status["mode"] for m in _MODES})

@@ -7,6 +7,7 @@ always admitted.
 """
 
 import asyncio
+import errno
 import itertools
 import os
 import pwd
@@ -26,7 +27,7 @@ from rtec.control.places import LocalSocket, answers, listen, socket_path, statu
 from rtec.control.prometheus import http_answer
 from rtec.control.residual import Residual
 from rtec.daemon.supervision import KeptThread
-from rtec.errors import ConfigError, unforeseen
+from rtec.errors import unforeseen
 from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.run_file import Setup
 
@@ -53,6 +54,8 @@ SLOW_S: Final = 5.0
 END_S: Final = 2.0
 ENDING_NS: Final = 2_000_000_000
 LOOK_NS: Final = 10_000_000
+HTTP_AGAIN_S: Final = 2.0
+"""Period, s, of trying to listen for Prometheus."""
 FULL_S: Final = 0.1
 """Wait, s, where the process has no file descriptors left."""
 _CREDENTIALS: Final = struct.Struct("3i")
@@ -163,6 +166,7 @@ class Control:
         self._local: LocalSocket | None = None
         self._status: LocalSocket | None = None
         self._http: socket.socket | None = None
+        self._http_failed = False
         self._thread = KeptThread(daemon.parts.add("control", essential=self._table.local), self._work)
         self._end: Callable[[], object] | None = None
         self._pace = Pace(clock, REQUEST_NS)
@@ -181,7 +185,7 @@ class Control:
                 self._local = listen(path, self._table.access)
                 self._status = listen(status_path(self._setup.path), self._table.status_access)
             if self._table.prometheus is not None:
-                self._http = _loopback(self._table.prometheus)
+                self._listen_http(self._table.prometheus)
         except BaseException:
             self.close()
             raise
@@ -189,7 +193,7 @@ class Control:
     def __enter__(self) -> Self:
         if self._local is None and self._http is None:
             self.listen()
-        if self._local is not None or self._http is not None:
+        if self._local is not None or self._table.prometheus is not None:
             self._thread.start()
         return self
 
@@ -208,6 +212,24 @@ class Control:
                 local.socket.close()
         if self._http is not None:
             self._http.close()
+
+    def _listen_http(self, place: str) -> None:
+        """Listen for Prometheus; where that fails the correction goes on without, and says so once."""
+        host, port = place.rsplit(":", 1)
+        try:
+            self._http = socket.create_server((host, int(port)))
+        except OSError as e:
+            hint = " (a unit without a network: systemd/network.conf)" if e.errno == errno.EAFNOSUPPORT else ""
+            if not self._http_failed:
+                why = f"[control] prometheus {place}: cannot listen there: {e.strerror}{hint}; tried again"
+                self.desk.daemon.note("prometheus", why)
+            self._http_failed = True
+
+    async def _serve_http(self, place: str) -> None:
+        while self._http is None:
+            await asyncio.sleep(HTTP_AGAIN_S)
+            self._listen_http(place)
+        await self._accept(self._http, self.scrapes, self._scrape)
 
     def _until_free(self, path: Any) -> None:
         """Wait up to two seconds for a daemon that is just ending."""
@@ -239,8 +261,8 @@ class Control:
         if self._status is not None:
             look = partial(self._talk, role="read")
             tasks.append(asyncio.create_task(self._accept(self._status.socket, self.watchers, look)))
-        if self._http is not None:
-            tasks.append(asyncio.create_task(self._accept(self._http, self.scrapes, self._scrape)))
+        if self._table.prometheus is not None:
+            tasks.append(asyncio.create_task(self._serve_http(self._table.prometheus)))
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -328,14 +350,6 @@ class Control:
 def _ended(guests: Guests, line: Line, task: asyncio.Task[None]) -> None:
     del task
     guests.leave(line)
-
-
-def _loopback(place: str) -> socket.socket:
-    host, port = place.rsplit(":", 1)
-    try:
-        return socket.create_server((host, int(port)))
-    except OSError as e:
-        raise ConfigError(f"[control] prometheus {place}: cannot listen there: {e.strerror}") from e
 
 
 def _whose(accepted: socket.socket) -> tuple[int, int]:

@@ -26,8 +26,8 @@ class FaultyOptions(SimOptions):
     Attributes:
         at_cycle: reading of counts, from the loop's first real one on, at which it happens.
         happens: what: Ctrl-C in the terminal, the death of everything or of the supervisor, silence for 200 cycles,
-            a port that is not there, readings that take 50 ms each, or one whose opening, or whose reading, never ends, which notes its process in the
-            file `told` before.
+            a port that is not there, readings that take 50 ms each, or one whose opening, or whose reading, never ends,
+            which notes its process in the file `told` before.
         told: a file that notes what the actuator was told.
         has: output that the actuator holds already when it is opened.
     """
