@@ -5,6 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from weakref import proxy
 
 from nicegui import events, ui
 from nicegui.element import Element
@@ -67,7 +68,9 @@ async def _try_it(session: TabSession) -> None:
         session.on_change()
 
 
-def _drop(session: TabSession) -> None:
+def _drop(of_tab: TabSession) -> None:
+    session = proxy(of_tab)  # FastAPI remembers the functions of uploads for ever; the tab must not stay with them
+
     async def take(event: events.MultiUploadEventArguments) -> None:
         refused = []
         with TemporaryDirectory() as beside:
@@ -96,7 +99,7 @@ def _drop(session: TabSession) -> None:
         on_rejected=too_large,
         label="Drop files here, or press + to choose them: measurements, tables, machine and model files",
     ).props('flat aria-label="Drop files"')
-    trouble(session, "drop")
+    trouble(of_tab, "drop")
 
 
 def _import(session: TabSession, name: str) -> None:
