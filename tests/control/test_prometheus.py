@@ -78,7 +78,7 @@ def get(place: str, method: str, path: str) -> tuple[int, str]:
     return answer.status, body
 
 
-def test_by_http(place: str, tmp_path: Path) -> None:
+def test_by_http(place: str) -> None:
     """Only this path, only to be read."""
     assert [get(place, *what)[0] for what in (("GET", "/"), ("POST", "/metrics"))] == [404, 501]
     assert get(place, "GET", "/metrics?x=1")[0] == 200

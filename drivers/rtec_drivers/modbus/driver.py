@@ -199,7 +199,7 @@ class ModbusScanner:
         return answer
 
     def _let_pass(self) -> None:
-        """Drop what comes until the line is quiet: RTU answers have no number, and a late one would pass for another."""
+        """Drop what comes until the line is quiet: RTU answers have no number, a late one would pass for another."""
         while self._line is not None and not self._exchange.numbered:
             if not self._line.receive(self._clock.now_ns() + PATIENT_NS):
                 return
