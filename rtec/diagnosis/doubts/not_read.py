@@ -1,5 +1,7 @@
 """Readings that follow a column that nothing reads, as a humidity: any other name would be wrong."""
 
+import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,9 +13,10 @@ from rtec.estimation.candidates import REAL
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings
+from rtec.metrology.instruments.laser import LaserLinear
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.unread import is_rotary, joined, not_read, ranged
-from rtec.wording import ERROR_UNITS, listed, sizes
+from rtec.wording import ERROR_UNITS, listed, significant, sizes
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +30,17 @@ OWN = 0.25
 COPY = 0.9995
 """Correlation from which on a column is the reading once more."""
 ENOUGH = 40
+ALIKE = 1.2
+"""A column leaves at most this many times what an effect leaves: the readings do not decide between them."""
+PHYSICAL = 1.5
+"""The slope over the pressure may differ from that of the air by this factor."""
+SAME = 0.999
+"""Correlation with a channel from which on a column is that channel, in another unit."""
+PRESSURE = re.compile(r"(.*[\W_])?(pressure|press|druck|baro\w*|h?pa|kpa|m?bar|mmhg|torr|p)([\W_].*)?")
+HPA = ((870.0, 1085.0, 1.0), (87.0, 108.5, 10.0), (650.0, 815.0, 1.3332), (0.87, 1.085, 1e3), (8.7e4, 1.085e5, 0.01))
+"""Pressures of the air that occur, in five units, and the hPa of one of each."""
+AIR_UM_PER_M_HPA = 0.268
+"""Change of a wavelength in air, µm per metre and hPa: that of the index of air at 20 °C."""
 HOLD = (
     "No effect can read that column. Hold constant what it shows while you measure, or leave these readings out; a "
     "temperature can be a sensor of the machine file."
@@ -67,6 +81,78 @@ def _best(judged: Judgement, columns: dict[str, Floats]) -> tuple[float, str, st
             if left is not None and (best is None or left**2 < (MOSTLY if words != best[2] else 1.0) * best[0] ** 2):
                 best = left, name, words
     return best
+
+
+def as_well(judged: Judgement, readings: Readings, base: Floats, columns: Floats, label: str) -> Doubt | None:
+    """Doubt about an effect where a column that nothing reads explains the readings nearly as well, along an axis.
+
+    No effect is named where that is the air of a laser's beam: the slope over its pressure is that of physics.
+
+    Args:
+        judged: the model.
+        readings: those of the search, of the same series.
+        base: columns of the model, (m, p).
+        columns: of the effect, (m, k).
+        label: name of the effect.
+    """
+    names = set.intersection(*(set(m.unread) for m in readings.measurements))
+    if not names or len(readings) < ENOUGH:
+        return None
+    known, values = floor.cleaned(readings, base), floor.cleaned(readings, readings.values)
+
+    def left(more: Floats) -> tuple[float, Floats]:
+        whole = np.hstack([known, floor.cleaned(readings, more)])
+        found = solve(whole, values)
+        return floor.pooled(readings, floor.rms_by_series(readings, values - whole @ found), judged.scale), found
+
+    none, mine = left(np.zeros((len(values), 0)))[0], left(columns)[0]
+    read, best = _read(readings), None
+    for name in sorted(n for n in names if not is_rotary(n)):
+        column = _column(readings, name)
+        if column is None or not _is_own(column, read, values, readings):
+            continue
+        for axis, by in _positions(readings):
+            rest, found = left(column[:, None] * by)
+            if rest <= min(ALIKE * mine, math.sqrt(MOSTLY) * none) and (best is None or rest < best[0]):
+                best = rest, name, axis, float(found[-1])
+    if best is None:
+        return None
+    rest, name, axis, slope = best
+    every = joined({name: m.unread[name]} for m in readings.measurements)
+    size, other = sizes(rest, mine)
+    air = _of_pressure(readings, name, axis, slope, every[name])
+    message = (
+        f"{ranged(name, every[name])}, which rtec does not read, times the position along {axis} explains the readings "
+        f"as well as {label}: they leave {size} and {other} {ERROR_UNITS[judged.unit]}.{air}"
+    )
+    step = "Correct the readings for it in the laser's software first." if air else f"Measure again with {name} held."
+    return Doubt("not_read", message, step, fatal=bool(air))
+
+
+def _is_own(column: Floats, read: Floats, values: Floats, readings: Readings) -> bool:
+    """Whether a column is neither what is read in another unit, nor the reading."""
+    same = max(abs(_correlation(column, one)) for one in read.T) > SAME
+    return not same and abs(_correlation(floor.cleaned(readings, column), values)) < FOLLOWS
+
+
+def _of_pressure(readings: Readings, name: str, axis: str, slope: float, column: Floats) -> str:
+    """Words where the slope is that of a laser's beam over the pressure of the air; else empty.
+
+    Args:
+        slope: µm over the ranges of column and position.
+    """
+    lasers = all(isinstance(m.instrument, LaserLinear) for m in readings.measurements)
+    hpa = next((to for low, high, to in HPA if low < np.nanmin(column) and np.nanmax(column) < high), None)
+    if not lasers or hpa is None or PRESSURE.fullmatch(name.strip().lower()) is None:
+        return ""
+    along = next(a for a in readings.machine.axes if a.name == axis)
+    per = abs(slope) / (float(np.ptp(column)) * hpa * float(np.ptp(readings.channel(along.channel))) * 1e-3)
+    if not AIR_UM_PER_M_HPA / PHYSICAL < per < AIR_UM_PER_M_HPA * PHYSICAL:
+        return ""
+    return (
+        f" Its slope, {significant(per)} µm per metre and hPa, is that of a laser's beam in air ({AIR_UM_PER_M_HPA:g}) "
+        "where nothing corrects the pressure."
+    )
 
 
 def _column(readings: Readings, name: str) -> Floats | None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.doubts.edits import Edits
+from rtec.diagnosis.doubts.not_read import as_well
 from rtec.diagnosis.doubts.record import doubts, few_runs, targets_apart
 from rtec.diagnosis.heat import (
     dead_sensor,
@@ -360,6 +361,8 @@ class Search:
             unknown = None
         elif rich or (unknown is not None and pair is None):
             chain = self._chain(refitted, p)
+            if chain and unknown is not None and (self._shape_beside(chain) or 0.0) < self._prior_odds + SURE:
+                unknown = None  # what stayed beside the best single effect has names, too
         if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
             pair = None  # two simple effects explain as much as a pair with a complex one
         so_far = [*refitted[:1], *(pair or ()), *chain]
@@ -503,6 +506,7 @@ class Search:
             or dead_sensor(self.readings, effect, known)
             or self._between_files(best)
             or self._sensor_offset(best)
+            or as_well(self.judged, self.readings, self.prepared.base, best.columns, effect.label)
         )
 
     def _sensor_offset(self, best: Refitted) -> Doubt | None:
@@ -888,6 +892,11 @@ class Search:
 
         A plain effect takes a part of nearly any shape; if the shape of the rest needs as much, the effect is no cause.
         """
+        best = self._shape_beside(chain)
+        return best is None or chain[-1].log_evidence + best > top.log_evidence
+
+    def _shape_beside(self, chain: Sequence[Refitted]) -> float | None:
+        """Log evidence of the best shape of what effects leave; None where none can be told."""
         base, fit = chain[-1].fit.columns, chain[-1].fit
         noises = fit.whitener, without_drift(fit.whitener)
         rest = best_shapes(
@@ -898,8 +907,7 @@ class Search:
             fit,
             lambda noise, columns: held_out_gain(noise, base, columns),
         )
-        best = max((t.log_evidence for t in rest if t.few is None), default=None)
-        return best is None or chain[-1].log_evidence + best > top.log_evidence
+        return max((t.log_evidence for t in rest if t.few is None), default=None)
 
     def _beside_curve(self, p: float) -> tuple[list[Refitted], Shaped | None]:
         """Effects beside a curve over one variable, and that curve, where both are likelier than the best shape.
