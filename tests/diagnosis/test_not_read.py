@@ -202,3 +202,50 @@ def test_every_command_says_once_what_is_not_read(tmp_path: Path) -> None:
     ):
         said = " ".join(here(*words).stdout.split())
         assert said.count("Not read: b_deg (0 to 360), which varies; rtec has no rotary axes") == 1, words
+
+
+HPA_UM_PER_M = 0.268
+"""Change of a wavelength in air at 20 °C with its pressure, µm per metre and hPa: Ciddor's equation."""
+
+
+def laser_beside_pressure(seed: int, per_m_hpa: float, unread: str = "pressure_hpa") -> Measurement:
+    """Runs along X through a morning; the pressure rises as smoothly as the nut warms up, later."""
+    rng = np.random.default_rng(seed)
+    x = np.tile(np.linspace(5.0, 195.0, 20), 16)
+    run = np.repeat(np.arange(16) + 1, 20)
+    time_s = 8.0 * np.arange(len(x)) + 900.0 * run
+    warm = 6.0 * (1.0 - np.exp(-time_s / 3000.0))
+    hpa = 1005.0 + 16.0 * (1.0 - np.exp(-np.maximum(time_s - 2000.0, 0.0) / 6000.0))
+    error = 1e-3 * per_m_hpa * (x + 150.0) * (hpa - 1005.0)
+    return Measurement(
+        name=f"laser-{seed}",
+        instrument=make_instrument("laser_linear", {}, "X", None, MACHINE, "test"),
+        machine=MACHINE,
+        run=run,
+        time_s=time_s,
+        channels={"x": x, SENSOR: np.round(20.0 + warm + rng.normal(0.0, 0.05, len(x)), 1)},
+        readings={"reading_um": error + rng.normal(0.0, 0.15, len(x))},
+        unread={unread: np.round(hpa, 1)},
+    )
+
+
+SENSOR = MACHINE.sensor_names[0]
+
+
+@pytest.mark.parametrize("seed", proof.few(range(4), 1))
+def test_pressure_that_nothing_corrects_is_no_late_expansion(seed: int) -> None:
+    """Neither does the data decide; the slope is that of physics, and a late expansion would go into the model."""
+    found = diagnose(MODEL, [laser_beside_pressure(seed, HPA_UM_PER_M)])
+    assert found.verdict == "undecided", found.sentence
+    assert "is that of a laser's beam in air (0.268) where nothing corrects the pressure" in found.sentence
+    assert not any(f.accepted for f in found.findings)
+
+
+@pytest.mark.parametrize("seed", proof.few(range(4), 1))
+@pytest.mark.parametrize(("slope", "column"), [(5 * HPA_UM_PER_M, "pressure_hpa"), (HPA_UM_PER_M, "humidity_percent")])
+def test_a_column_of_no_such_physics_is_a_rival_and_forbids_nothing(seed: int, slope: float, column: str) -> None:
+    found = diagnose(MODEL, [laser_beside_pressure(seed, slope, column)])
+    doubts = [d for d in found.doubts if d.kind == "not_read"]
+    assert [d.fatal for d in doubts] == [False]
+    assert f"{column} (" in found.sentence
+    assert "in air (0.268)" not in found.sentence
