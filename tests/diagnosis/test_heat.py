@@ -316,3 +316,40 @@ def test_a_part_that_follows_the_coolant_late_is_named() -> None:
     assert first.accepted
     assert abs(first.parameters["k"].value) == pytest.approx(1.8, rel=0.1)
     assert first.parameters["tau"].value == pytest.approx(240.0, rel=0.25)
+
+
+def warming_laser(seed: int) -> Measurement:
+    """Ten runs along X to and fro with heavy-tailed noise while the laser warms up by 1.5 µm; the machine is cold."""
+    rng = np.random.default_rng(seed)
+    there = np.linspace(5.0, 195.0, 14)
+    x = np.tile(np.concatenate([there, there[::-1]]), 10)
+    run = np.repeat(np.arange(10) + 1, 28)
+    time_s = np.cumsum(7.0 + rng.exponential(0.7, len(x))) + 900.0 * (run - 1)
+    reading = 0.2 * rng.standard_t(3, len(x)) + 1.5 * (1.0 - np.exp(-time_s / 2500.0))
+    channels = {"x": x, "dir_x": np.tile(np.repeat([1.0, -1.0], 14), 10)}
+    coarse, bed = np.arange(0.0, time_s[-1] + 20.0, 10.0), [20.5]
+    for t in coarse[1:]:
+        goal = 20.5 if t < 1500 else 31.0 if t < 9000 else 26.0 if t < 13000 else 35.0
+        bed.append(bed[-1] + (goal - bed[-1]) * (1.0 - np.exp(-10.0 / 2200.0)))
+    for name, degc in (
+        ("T_bed", np.interp(time_s, coarse, bed)),
+        ("T_air", 20.1 + 2.4 * (1.0 - np.exp(-time_s / 12000.0))),
+    ):
+        channels[name] = np.round(degc + 0.1 + 0.03 * rng.normal(size=len(x)), 1)
+    machine = small_machine()
+    return Measurement(
+        name=f"laser-{seed}",
+        instrument=make_instrument("laser_linear", {}, "X", None, machine, "test"),
+        machine=machine,
+        run=run,
+        time_s=time_s,
+        channels=channels,
+        readings={"reading_um": np.round(reading, 1)},
+    )
+
+
+def test_two_lags_of_one_sensor_are_no_better_than_an_instrument_that_warms_up() -> None:
+    """Of 75 seeds the one in which the air, late by two times with opposite signs, was taken for two effects."""
+    found = diagnose(Model(small_machine(), (), name="bare"), [warming_laser(37)])
+    assert found.verdict == "undecided", found.sentence
+    assert [d.kind for d in found.doubts if d.fatal] == ["instrument_warm_up"]

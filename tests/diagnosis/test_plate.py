@@ -1,4 +1,4 @@
-"""Several causes on a plate of points, tool above a table that X carries. Oracle: the formulas, written down by hand."""
+"""Several causes on a plate of points above a table that X carries. Oracle: the formulas, written down by hand."""
 
 import numpy as np
 import pytest

@@ -800,10 +800,23 @@ class Search:
         apart = self._without_instrument([first, second])
         if len(apart) < len(best):
             return None, apart
+        if self._warms_up_together(first, second):
+            self._doubt_warm_up(first, fatal=True)
+            return None, []
         self._doubt_files(apart)
         width = self.prepared.base.shape[1]
         both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
         return (both, second), []
+
+    def _warms_up_together(self, first: Refitted, second: Refitted) -> bool:
+        """Whether two effects in one explain the readings no better than an instrument that warms up.
+
+        Two causes are less likely beforehand than one.
+        """
+        width = self.prepared.base.shape[1]
+        part = second.fit.columns[:, width:] @ second.fit.values[width:]
+        curves = warm_up_curves(self.readings, (*self._channels(first), *self._channels(second)), part)
+        return bool(curves) and second.log_evidence - self.refits.of_curves(curves, 2)[0] < self._prior_odds + SURE
 
     def _leaner(self, refitted: Sequence[Refitted], evidence: float) -> list[Refitted]:
         """Plain effects that are together likelier than an answer with many numbers; empty where none are.
