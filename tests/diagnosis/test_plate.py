@@ -74,7 +74,7 @@ def plate(machine: Machine, seed: int) -> Measurement:
 
 @pytest.mark.parametrize("seed", proof.few(range(4), 1))
 def test_four_causes_have_names_and_nothing_stays_without(machine: Machine, seed: int) -> None:
-    """Each is one of the catalogue; a yaw that was called a surface over X and Y knows nothing of another tool's arm."""
+    """Each is one of the catalogue; a yaw called a surface over X and Y knows nothing of the arm of another tool."""
     model, m = Model(machine, (), name="bare"), plate(machine, seed)
     found = diagnose(model, [m])
     assert found.unknown is None, found.sentence

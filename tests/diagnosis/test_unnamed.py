@@ -322,3 +322,33 @@ def test_a_shape_follows_the_nut_of_its_own_axis(evidence: float, drop: float, f
     top, own = shape_over("x", "T_z_nut", evidence=108.0, drop=0.955), ("x", "T_x_nut")
     others = [top, shape_over(*own, evidence=evidence, drop=drop), shape_over("x", evidence=107.0, drop=0.96)]
     assert by_own_sensors(top, others, machine).shape.variables == ("x", first)
+
+
+def wave_that_grows_warm(seed: int) -> Measurement:
+    """A wave of 100 mm along X, 1.1 µm per kelvin above 20 °C, while the bed warms from 20.6 to 32 °C and cools."""
+    rng = np.random.default_rng(seed)
+    there = np.linspace(5.0, 195.0, 13)
+    x = np.tile(np.concatenate([there, there[::-1]]), 14)
+    run = np.repeat(np.arange(14) + 1, 26)
+    time_s = 8.0 * np.arange(len(x)) + 800.0 * run
+    rise = np.where(time_s < 8000.0, 1.0 - np.exp(-time_s / 2500.0), 0.96 * np.exp(-(time_s - 8000.0) / 5000.0))
+    bed = 20.6 + 11.4 * rise
+    reading = 0.55 * np.sin(2.0 * np.pi * x / 100.0 + 0.7) * (bed - 20.0) + rng.normal(0.0, 0.3, len(x))
+    machine = small_machine()
+    return Measurement(
+        name=f"laser-{seed}",
+        instrument=make_instrument("laser_linear", {}, "X", None, machine, "test"),
+        machine=machine,
+        run=run,
+        time_s=time_s,
+        channels={"x": x, "T_bed": np.round(bed + rng.normal(0.0, 0.03, len(x)), 1)},
+        readings={"reading_um": np.round(reading, 1)},
+    )
+
+
+@pytest.mark.parametrize("seed", proof.few(range(4), 1))
+def test_a_shape_that_grows_with_a_temperature_is_no_curve_over_the_position(seed: int) -> None:
+    """Least squares: any curve over X alone leaves a third of the root mean square, the product a tenth."""
+    found = diagnose(Model(small_machine(), (), name="bare"), [wave_that_grows_warm(seed)])
+    assert found.unknown is not None, found.sentence
+    assert set(found.unknown.channels) == {"x", "T_bed"}

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.screen import Projected
-from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes, weigh
+from rtec.diagnosis.search.screen import Projected, orthonormal
+from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes
 from rtec.estimation import floor
 from rtec.estimation.display import display_errors, within_display
 from rtec.estimation.gls import Fit, HeldOutGain, along_runs, solve
@@ -384,7 +384,13 @@ def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Re
         if t.log_evidence <= 0.0:
             continue
         known = Projected.of(t.fit.whitener, base, readings.values)
-        mine, its = weigh(known, columns), weigh(known, t.columns, t.shape.searched)
-        if its is not None:
-            out = min(out, (mine[1] if mine else 0.0) / max(its[1], 1e-9))
+        mine, its = _explained(known, columns), _explained(known, t.columns)
+        if its > 0.0:
+            out = min(out, mine / its)
     return out
+
+
+def _explained(known: Projected, columns: Floats) -> float:
+    """Squares that columns explain, (m, k), less those that as many numbers explain of the noise, each of size one."""
+    whole = orthonormal(known.take_out(known.whitener(columns)))
+    return max(float(np.sum((whole.T @ known.left) ** 2)) - whole.shape[1], 0.0)
