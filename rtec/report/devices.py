@@ -82,6 +82,8 @@ def doctor_page(found: "Examination") -> Page:
     """Values of all devices in one table; then, device by device, faults and remedies."""
     sick = [d for d in found.devices if d.wrong]
     verdict = f"Of {_devices(len(found.devices))} {_are(len(sick))} not well." if sick else "All devices are well."
+    if found.wrong:
+        verdict = f"{verdict.removesuffix('.')}{', and' if sick else '; but'} the run file is wrong."
     sections = [Section("What they read", (), doctor_table(found.devices))]
     sections += [Section(f"Wrong: {d.name} ({d.driver})", _fault_lines(d.wrong)) for d in sick]
     if found.wrong:

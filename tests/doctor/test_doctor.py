@@ -241,7 +241,7 @@ def test_the_page_says_each_fault_with_its_ways(tmp_path: Path) -> None:
     assert section.text == [
         "/dev/ttyUSB7: no such port; plug it in, or name another\n    → serial ports here: /dev/ttyS0"
     ]
-    assert "Of 2 devices 1 is not well." in page.lead
+    assert "Of 2 devices 1 is not well, and the run file is wrong." in page.lead
     assert "is read" in shown  # the live table had something to show
 
 

@@ -218,8 +218,17 @@ def test_somebody_elses_offset_is_noticed(controller: OffsetController, tmp_path
         assert commanded(driver, 100, 100)
         controller.has = {"X": 0.25, "Z": 0.01}
         soon(CLOCK, lambda: bool(driver.must_resume))
-        assert "has [2500, 100], and was commanded [100, 100]" in driver.must_resume
+        assert "has X +250 µm, Z +10 µm, and was commanded X +10 µm, Z +10 µm: check" in driver.must_resume
         assert has(driver) == [2500, 100]
+
+
+def test_an_answer_in_coarser_steps_is_called_that(controller: OffsetController, tmp_path: Path) -> None:
+    """A controller that shows whole micrometres, commanded in tenths."""
+    with made(tmp_path, READ_BACK) as driver:
+        assert commanded(driver, 100, 100)
+        controller.has = {"X": 0.010, "Z": 0.011}
+        soon(CLOCK, lambda: bool(driver.must_resume))
+        assert "does it answer in steps coarser than resolution_um?" in driver.must_resume
 
 
 def test_a_silent_loss_while_an_axis_moves_is_never_made_good_by_the_next_command(
@@ -241,7 +250,7 @@ def test_a_silent_loss_while_an_axis_moves_is_never_made_good_by_the_next_comman
         soon(CLOCK, holds)
         assert "OFS X=0.0418 Z=-0.0035" not in controller.lines
         assert controller.has == {"X": 0.0, "Z": 0.0}
-        assert "has [0, 0], and was commanded [417, -35]" in driver.must_resume
+        assert "has X +0 µm, Z +0 µm, and was commanded X +41.7 µm, Z -3.5 µm" in driver.must_resume
         driver.resume()
         assert has(driver) == [0, 0]
         assert commanded(driver, 1, 0)

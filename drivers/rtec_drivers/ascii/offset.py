@@ -3,6 +3,7 @@
 import math
 import re
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
@@ -20,6 +21,8 @@ from rtec_drivers.byte_line import ByteLine, way_of
 from rtec_drivers.reopen import NS, Backoff, Worker
 
 IntArray = NDArray[np.int64]
+COARSE = 10
+"""Units by which a controller that answers in coarser steps is off at most."""
 Output = tuple[int, ...]
 IDLE_S = 0.1
 """Period, s, of reading lines that the controller sends unasked."""
@@ -37,13 +40,15 @@ class OffsetAccount:
     Args:
         starts_with: offsets of the controller after its own restart; None where they can be read back.
         keeps: does the controller keep its offsets through its own restart?
+        words: an output for people.
 
     Attributes:
         lost: why the controller's offsets are unknown; "" where they are known.
         wake: set when there is a command to send.
     """
 
-    def __init__(self, starts_with: Output | None, keeps: bool) -> None:
+    def __init__(self, starts_with: Output | None, keeps: bool, words: Callable[[Output], str] = str) -> None:
+        self._words = words
         self.lost, self.wake, self._starts_with, self._keeps = "", threading.Event(), starts_with, keeps
         self._lock = threading.Lock()
         self._has: Output | None = None
@@ -123,7 +128,11 @@ class OffsetAccount:
         with self._lock:
             known = [k for k in (self._has, self._sent) if k is not None]
             if self._has is not None and any(x not in {k[i] for k in known} for i, x in enumerate(output)):
-                self._lose(f"the controller has {list(output)}, and was commanded {list(known[-1])}")
+                why = f"the controller has {self._words(output)}, and was commanded {self._words(known[-1])}"
+                off = max(abs(a - b) for a, b in zip(output, known[-1], strict=True))
+                if off <= COARSE:
+                    why += " (does it answer in steps coarser than resolution_um? Make that and the output's as coarse)"
+                self._lose(why)
             self._has, self._trouble = output, None
 
     def restarted(self, line: str) -> None:
@@ -193,7 +202,7 @@ line_end = "crlf"
         self.options, self._axes, self._clock = options, machine.axis_names, clock
         self._text = OffsetText(options, machine)
         nothing = (0,) * len(self._axes)
-        self._account = OffsetAccount(nothing if options.ask is None else None, options.keeps_offsets)
+        self._account = OffsetAccount(nothing if options.ask is None else None, options.keeps_offsets, self._in_words)
         self._connect, self._retry = way_of(options.serial, options.tcp, clock)
         self._worker: Worker[ByteLine] | None = None
         self._ending = False
@@ -271,6 +280,10 @@ line_end = "crlf"
     def resume(self) -> None:
         """Go on from the controller's present offsets."""
         self._account.resume()
+
+    def _in_words(self, output: Output) -> str:
+        unit = self.options.resolution_um
+        return ", ".join(f"{axis} {n * unit:+.4g} µm" for axis, n in zip(self._axes, output, strict=True))
 
     def _was_told(self, output: IntArray) -> None:
         self._account.set_from_earlier_run(tuple(int(n) for n in output))

@@ -393,4 +393,4 @@ def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Re
 def _explained(known: Projected, columns: Floats) -> float:
     """Squares that columns explain, (m, k), less those that as many numbers explain of the noise, each of size one."""
     whole = orthonormal(known.take_out(known.whitener(columns)))
-    return max(float(np.sum((whole.T @ known.left) ** 2)) - whole.shape[1], 0.0)
+    return max(float(np.sum((whole.T @ known.left) ** 2) - whole.shape[1]), 0.0)
