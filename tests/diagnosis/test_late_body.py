@@ -139,6 +139,7 @@ def test_what_is_significant_is_never_called_nothing(monkeypatch: pytest.MonkeyP
     u = m.channels["x"] / 300.0 + 1.0
     m = replace(m, readings={"reading_um": m.readings["reading_um"] - 2.5 * u**2 - 1.5 * u**3})
     monkeypatch.setattr(search, "adequacy", lambda *_: 0.5)
+    monkeypatch.setattr(search.Search, "_shape_beside", lambda *_: math.inf)
     monkeypatch.setattr(search.Search, "_with_another", lambda *_: -math.inf)
     d = diagnose(fitted_model([m], wanted=read_wanted("scale:EXX", m.machine)), [m], draws=50)
     assert d.verdict != "nothing_missing"
