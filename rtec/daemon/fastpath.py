@@ -330,7 +330,7 @@ def _ready(step: Step, start: Start, warnings: list[str]) -> dict[str, Any]:
 def _rehearse(setup: Setup, ports: Ports, output: IntArray | None) -> list[str]:
     """Run the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
 
-    The step is a second one that stands at the actuator's output, even beyond a limit: nothing moves, nothing is
+    The step is a second one that keeps the actuator's output, even beyond a limit: nothing moves, nothing is
     recorded. An actuator that has not reported its output gets no command before it does.
     """
     step = Step(setup.step_settings())
