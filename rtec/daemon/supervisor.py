@@ -45,8 +45,9 @@ DRAIN_PERIOD_NS: Final = 20_000_000
 STOP_TIMEOUT_S: Final = 5.0
 STANDS_NS: Final = 2_000_000_000
 """A loop without a cycle for this long, ns, stands."""
+LATE: Final = 1.5
 LATE_S: Final = 1.0
-"""A run whose cycles are late ends this long, s, after its duration, with fewer cycles."""
+"""A run whose cycles are late ends after this many times its duration and this many seconds, with fewer cycles."""
 START_S: Final = 300
 """The loop begins within this time: a slow computer compiles for a minute, and a device may be late."""
 RING_SECONDS: Final = 6.0
@@ -206,7 +207,7 @@ class Supervisor:
         if self.setup.step_um:
             self._step_orders.lasts_s, cycles = duration_s, None
         elif duration_s is not None:
-            self._lasts_ns = round((duration_s + LATE_S) * 1e9)
+            self._lasts_ns = round((LATE * duration_s + LATE_S) * 1e9)
         capacity = max(64, round(RING_SECONDS * self.setup.file.run.rate_hz))
         context = child_context(self._forks)
         workers = Workers(self.setup, self._clock, self.parts, self._forks)
