@@ -12,7 +12,7 @@ import shutil
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -220,8 +220,10 @@ def main(arguments: list[str]) -> int:
     given = parser.parse_args(arguments)
     with ExitStack() as stack:
         part = PARTS[given.part](read_wiring(given.config, given.gateware), given.folder, stack, given.every_ms)
-        _say({"ready": True, "warnings": part.warnings})
-        ordered = _serve(part, given.folder)
+        ordered = False
+        with suppress(BrokenPipeError):  # the parent process was killed before it read that
+            _say({"ready": True, "warnings": part.warnings})
+            ordered = _serve(part, given.folder)
     if not ordered:
         state_places(given.config, None).memory.unlink(missing_ok=True)
         shutil.rmtree(given.folder, ignore_errors=True)
