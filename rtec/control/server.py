@@ -214,7 +214,7 @@ class Control:
             self._http.close()
 
     def _listen_http(self, place: str) -> None:
-        """Listen for Prometheus; where that fails the correction goes on without, and says so once."""
+        """Listen for Prometheus; a failure is one event, and the correction goes on."""
         host, port = place.rsplit(":", 1)
         try:
             self._http = socket.create_server((host, int(port)))

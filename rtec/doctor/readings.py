@@ -31,6 +31,7 @@ from rtec.doctor.ports import (
 from rtec.errors import DriverError, DriverFault
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import CAN_BE
+from rtec.loop.output import beyond_stop
 from rtec.loop.zero import beyond_travel
 from rtec.wording import percent
 
@@ -470,10 +471,10 @@ def output_faults(patient: Patient, readings: DeviceReadings) -> list[DeviceFaul
     out = []
     for axis, units in zip(patient.machine.axes, readings.output.tolist(), strict=True):
         limits, scale = patient.file.limits.get(axis.name), patient.file.output.get(axis.name, PulseSink()).scale(axis)
-        um = units / scale.units_per_um
-        if limits is None or abs(um) <= limits.stop_um + scale.quantum / abs(scale.units_per_um):
+        if limits is None or not beyond_stop(units, scale.units_per_um, scale.quantum, limits.stop_um):
             continue
-        what = f"it has {um:+.2f} µm of axis {axis.name}, and stop_um is {limits.stop_um:g}: the loop would wait"
+        has = f"it has {units / scale.units_per_um:+.2f} µm of axis {axis.name}"
+        what = f"{has}, and stop_um is {limits.stop_um:g}: the loop would wait for an order"
         out.append(DeviceFault(what, ("set it back by hand, or order it back slowly: `rtec ctl resume`",)))
     return out
 

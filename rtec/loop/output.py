@@ -11,7 +11,8 @@ an actuator that fails. To an actuator that accepts commands without effect, it 
 the actuator's output by one cycle's change at most. The loop goes on from there, from rest, when the command was
 accepted and confirmed. An actuator whose output matches no command has restarted, or something else wrote to it, or it
 reads in another unit than it is commanded in: its counts may have another meaning now. The loop takes over its ledger,
-commands nothing more, not even that, and waits for the order to resume.
+commands nothing more, not even that, and waits for the order to resume. So it does at a start where the actuator has
+more than the stop limit allows; after the order the correction goes back to the limit, at its slew limit.
 """
 
 from typing import Final
@@ -55,17 +56,26 @@ def lost(
     )
 
 
-def beyond(step: Step, output: IntArray) -> str:
-    """Message on an output beyond the stop limit, which is no correction of these limits; else "".
+def beyond_stop(units: float, per_um: float, quantum: float, stop_um: float) -> bool:
+    """Whether an axis' output is beyond its stop limit.
 
     The ledger holds whole quanta, so it may be one beyond the limit that the correction itself keeps.
     """
-    per_um, stop = step.constants("per_um"), step.constants("stop")
-    over = (per_um != 0.0) & (np.abs(output) - np.abs(per_um) * stop > step.constants("quantum"))
-    names = [name for name, is_over in zip(step.layout.axes, over.tolist(), strict=True) if is_over]
-    if not names:
+    return per_um != 0.0 and abs(units) - abs(per_um) * stop_um > quantum
+
+
+def beyond(step: Step, output: IntArray) -> str:
+    """Message on an output beyond the stop limit, which is no correction within these limits; else ""."""
+    stop_um = step.constants("stop")
+    parts = zip(output.tolist(), step.constants("per_um"), step.constants("quantum"), stop_um, strict=True)
+    over = [beyond_stop(*of_axis) for of_axis in parts]
+    if not any(over):
         return ""
-    limits = ", ".join(f"stop_um of {name} is {stop[step.layout.axes.index(name)]:g}" for name in names)
+    limits = ", ".join(
+        f"stop_um of {name} is {most:g}"
+        for name, most, is_over in zip(step.layout.axes, stop_um, over, strict=True)
+        if is_over
+    )
     return (
         f"the actuator has {in_words(step, output)}, and {limits}: no correction within these limits. Set it back by "
         f"hand, or order it back to the limit slowly by resuming; {HOLDS}"

@@ -28,7 +28,7 @@ from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build as generated
 from tests.discovery.translate import base_model, measurement_of
 from tests.support import proof
-from tests.support.diagnosis_examples import effects, small_machine, write_laser, write_machine
+from tests.support.diagnosis_examples import effects, recorded_by_laser, small_machine, write_laser, write_machine
 
 
 def answer(group: str, what: str, seed: int) -> Diagnosis:
@@ -336,16 +336,7 @@ def warming_laser(seed: int) -> Measurement:
         ("T_air", 20.1 + 2.4 * (1.0 - np.exp(-time_s / 12000.0))),
     ):
         channels[name] = np.round(degc + 0.1 + 0.03 * rng.normal(size=len(x)), 1)
-    machine = small_machine()
-    return Measurement(
-        name=f"laser-{seed}",
-        instrument=make_instrument("laser_linear", {}, "X", None, machine, "test"),
-        machine=machine,
-        run=run,
-        time_s=time_s,
-        channels=channels,
-        readings={"reading_um": np.round(reading, 1)},
-    )
+    return recorded_by_laser(seed, run, time_s, channels, np.round(reading, 1))
 
 
 def test_two_lags_of_one_sensor_are_no_better_than_an_instrument_that_warms_up() -> None:

@@ -22,7 +22,7 @@ from rtec.model import Model
 from rtec.model.file import save_model
 from tests.support import proof
 from tests.support.command import here
-from tests.support.diagnosis_examples import small_machine, write_machine
+from tests.support.diagnosis_examples import recorded_by_laser, small_machine, write_machine
 
 Floats = NDArray[np.float64]
 MACHINE = small_machine()
@@ -217,19 +217,9 @@ def laser_beside_pressure(seed: int, per_m_hpa: float, unread: str = "pressure_h
     warm = 6.0 * (1.0 - np.exp(-time_s / 3000.0))
     hpa = 1005.0 + 16.0 * (1.0 - np.exp(-np.maximum(time_s - 2000.0, 0.0) / 6000.0))
     error = 1e-3 * per_m_hpa * (x + 150.0) * (hpa - 1005.0)
-    return Measurement(
-        name=f"laser-{seed}",
-        instrument=make_instrument("laser_linear", {}, "X", None, MACHINE, "test"),
-        machine=MACHINE,
-        run=run,
-        time_s=time_s,
-        channels={"x": x, SENSOR: np.round(20.0 + warm + rng.normal(0.0, 0.05, len(x)), 1)},
-        readings={"reading_um": error + rng.normal(0.0, 0.15, len(x))},
-        unread={unread: np.round(hpa, 1)},
-    )
-
-
-SENSOR = MACHINE.sensor_names[0]
+    channels = {"x": x, "T_bed": np.round(20.0 + warm + rng.normal(0.0, 0.05, len(x)), 1)}
+    reading = error + rng.normal(0.0, 0.15, len(x))
+    return recorded_by_laser(seed, run, time_s, channels, reading, **{unread: np.round(hpa, 1)})
 
 
 @pytest.mark.parametrize("seed", proof.few(range(4), 1))

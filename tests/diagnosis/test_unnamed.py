@@ -23,7 +23,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support import proof
-from tests.support.diagnosis_examples import effects, laser, small_machine
+from tests.support.diagnosis_examples import effects, laser, recorded_by_laser, small_machine
 
 Floats = NDArray[np.float64]
 MACHINES = Path(__file__).parents[2] / "configs" / "machines"
@@ -334,16 +334,8 @@ def wave_that_grows_warm(seed: int) -> Measurement:
     rise = np.where(time_s < 8000.0, 1.0 - np.exp(-time_s / 2500.0), 0.96 * np.exp(-(time_s - 8000.0) / 5000.0))
     bed = 20.6 + 11.4 * rise
     reading = 0.55 * np.sin(2.0 * np.pi * x / 100.0 + 0.7) * (bed - 20.0) + rng.normal(0.0, 0.3, len(x))
-    machine = small_machine()
-    return Measurement(
-        name=f"laser-{seed}",
-        instrument=make_instrument("laser_linear", {}, "X", None, machine, "test"),
-        machine=machine,
-        run=run,
-        time_s=time_s,
-        channels={"x": x, "T_bed": np.round(bed + rng.normal(0.0, 0.03, len(x)), 1)},
-        readings={"reading_um": np.round(reading, 1)},
-    )
+    channels = {"x": x, "T_bed": np.round(bed + rng.normal(0.0, 0.03, len(x)), 1)}
+    return recorded_by_laser(seed, run, time_s, channels, np.round(reading, 1))
 
 
 @pytest.mark.parametrize("seed", proof.few(range(4), 1))

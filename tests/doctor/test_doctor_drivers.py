@@ -62,7 +62,7 @@ def test_an_output_beyond_the_stop_limit_is_said_before_a_run_waits_for_an_order
     monkeypatch.setattr(SimDriver, "read_output", has)
     path = run_file(tmp_path, ALL_SIM, {"box": sim(tmp_path)})
     _, by_name = seen(path, 0.2)
-    assert "it has +120.00 µm of axis X, and stop_um is 100: the loop would wait" in texts(by_name["box"])
+    assert "it has +120.00 µm of axis X, and stop_um is 100: the loop would wait for an order" in texts(by_name["box"])
     (reason,) = [r for r in dry_run(load_setup(path))["reasons"] if "actuator" in r]
     assert reason.startswith("the actuator has X +120.00 µm, Z -100.00 µm, and stop_um of X is 100")
 

@@ -139,6 +139,14 @@ def test_without_its_supervisor_the_loop_holds_and_ends(tmp_path: Path, at_cycle
     assert rings_left() == []
 
 
+def test_an_output_beyond_the_stop_limit_gets_no_other_command_before_an_order(tmp_path: Path) -> None:
+    """500 µm in the machine, 100 allowed. Oracle: the actuator's own list of commands, the rehearsal's too."""
+    told = tmp_path / "told"
+    done = faulty_run(tmp_path, "--duration", 0.3, has=[1000, 0], told=str(told))
+    assert done.returncode == 0, done.stderr
+    assert {line for line in told.read_text().splitlines() if line.startswith("apply")} == {"apply [1000, 0]"}
+
+
 def test_a_duration_is_a_time_where_the_cycles_are_late(tmp_path: Path) -> None:
     """Readings of 50 ms in cycles of 1 ms. Oracle: 0.2 s and the second of grace hold some 24 of them, not 200."""
     done = faulty_run(tmp_path, "--duration", 0.2, happens="slow", at_cycle=1)

@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 
 from rtec.cli.main import status
 from rtec.machine import Machine, machine_from
@@ -15,6 +17,9 @@ from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support.machines import axis
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 TABLE: Mapping[str, Any] = {
     "machine": {"name": "small", "tool_chain": ["Z", "X", "tool"], "work_chain": ["workpiece"]},
@@ -56,6 +61,23 @@ def read_by(
     model = Model(machine, effects(*truth), name="truth")
     settings = Settings.model_validate({**QUICK, **more})
     return simulate(model, instrument, settings, seed, f"{name.partition('_')[0]}-{along.lower()}-{seed}")
+
+
+def recorded_by_laser(
+    seed: int, run: Ints, time_s: Floats, channels: dict[str, Floats], reading_um: Floats, **unread: Floats
+) -> Measurement:
+    """A laser record along X on the small machine: a test's readings, channels, and columns that nothing reads."""
+    machine = small_machine()
+    return Measurement(
+        name=f"laser-{seed}",
+        instrument=make_instrument("laser_linear", {}, "X", None, machine, "test"),
+        machine=machine,
+        run=run,
+        time_s=time_s,
+        channels=channels,
+        readings={"reading_um": reading_um},
+        unread=unread,
+    )
 
 
 def write_machine(folder: Path) -> Path:

@@ -909,7 +909,7 @@ class Search:
         return best is None or chain[-1].log_evidence + best > top.log_evidence
 
     def _shape_beside(self, chain: Sequence[Refitted]) -> float | None:
-        """Log evidence of the best shape of what effects leave; None where none can be told."""
+        """Log evidence of the best shape of the residual beside effects; None where no shape is found."""
         base, fit = chain[-1].fit.columns, chain[-1].fit
         noises = fit.whitener, without_drift(fit.whitener)
         rest = best_shapes(
