@@ -121,11 +121,12 @@ def as_well(judged: Judgement, readings: Readings, base: Floats, columns: Floats
     every = joined({name: m.unread[name]} for m in readings.measurements)
     size, other = sizes(rest, mine)
     air = _of_pressure(readings, name, axis, slope, every[name])
+    well = "nearly as well as" if rest > mine else "at least as well as"
     message = (
         f"{ranged(name, every[name])}, which rtec does not read, times the position along {axis} explains the readings "
-        f"as well as {label}: they leave {size} and {other} {ERROR_UNITS[judged.unit]}.{air}"
+        f"{well} {label}: they leave {size} and {other} {ERROR_UNITS[judged.unit]}.{air}"
     )
-    step = "Correct the readings for it in the laser's software first." if air else f"Measure again with {name} held."
+    step = "Correct the readings for the pressure first." if air else f"Measure again with {name} held constant."
     return Doubt("not_read", message, step, fatal=bool(air))
 
 
