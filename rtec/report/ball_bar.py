@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.causes import causes, feeds_of
+from rtec.metrology.ball_bar.causes import UNITS, causes, feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import RESIDUAL, BallBarDiagnosis
 from rtec.metrology.ball_bar.fit import FittedValue, OfHeight
@@ -18,18 +18,6 @@ from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.version import __version__
 from rtec.wording import NONE, number, percent, significant
 
-UNITS = {
-    "um": "µm",
-    "um_per_m": "µm/m",
-    "urad": "µrad",
-    "per_km": "1/km",
-    "urad_per_m": "µrad/m",
-    "ms": "ms",
-    "um_s2_per_m": "µm per m/s²",
-    "um_per_m2": "µm/m²",
-    "deg": "°",
-    "mm": "mm",
-}
 RAREST = 1e-6
 BRIEF, LEAST_BRIEF = 5, 0.01
 """Largest number of causes in the short table, and smallest share of each."""

@@ -19,6 +19,7 @@ from rtec.metrology.measurement import Measurement
 from tests.support.machines import axis, machine
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 def gantry(**more: Any) -> Machine:
@@ -34,10 +35,12 @@ def bar(m: Machine, **setup: Any) -> BallBar:
     return out
 
 
-def recorded(m: Machine, instrument: BallBar, angle_deg: Floats, reading_um: Floats, name: str = "test") -> Measurement:
-    """A recording as a file with angles would give it."""
+def recorded(
+    m: Machine, instrument: BallBar, angle_deg: Floats, reading_um: Floats, name: str = "test", run: Ints | None = None
+) -> Measurement:
+    """A recording as a file with angles would give it; of one run where none are given."""
     n = len(angle_deg)
-    run = np.ones(n, dtype=np.int64)
+    run = np.ones(n, dtype=np.int64) if run is None else run
     channels = on_circle(instrument, m, {"angle_deg": np.asarray(angle_deg, dtype=np.float64)}, run, name)
     return Measurement(name, instrument, m, run, np.arange(float(n)), channels, {"reading_um": reading_um})
 

@@ -30,6 +30,20 @@ from rtec.metrology.instruments.ball_bar import axis_along
 
 Floats = NDArray[np.float64]
 
+UNITS = {
+    "um": "µm",
+    "um_per_m": "µm/m",
+    "urad": "µrad",
+    "per_km": "1/km",
+    "urad_per_m": "µrad/m",
+    "ms": "ms",
+    "um_s2_per_m": "µm per m/s²",
+    "um_per_m2": "µm/m²",
+    "deg": "°",
+    "mm": "mm",
+}
+"""Units of parameters, as people read them."""
+
 
 @dataclass(frozen=True)
 class At:
