@@ -286,6 +286,7 @@ class Diagnosis(Result):
         changed: numbers of the model that have changed since the readings that it was fitted to, where that was asked.
         changed_rms: residual with these refitted and all others kept.
         changed_held_out: the same on held-out runs.
+        within_errors: where a refit lowers the residual, that no number then differs by more than its error.
     """
 
     page_maker: ClassVar[str] = "rtec.report.diagnosis:diagnosis_page"
@@ -312,14 +313,19 @@ class Diagnosis(Result):
     changed: tuple[ChangedNumber, ...] = ()
     changed_rms: float = math.nan
     changed_held_out: float = math.nan
+    within_errors: bool = False
 
     @property
     def out_of_date(self) -> bool:
         """Whether a refit of the model's own numbers would clearly lower the residual, also on held-out runs.
 
-        A refit to a few runs follows their drift.
+        A refit to a few runs follows their drift, and so may one that moves no number beyond its error.
         """
-        return self.refit_fits and (self.judged is None or self.judged.held_out < self.rms_residual)
+        return (
+            self.refit_fits
+            and not self.within_errors
+            and (self.judged is None or self.judged.held_out < self.rms_residual)
+        )
 
     @property
     def refit_fits(self) -> bool:

@@ -206,6 +206,34 @@ def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, hel
     return replace(d, sentence=" ".join(order))
 
 
+def within_errors(d: Diagnosis) -> Diagnosis:
+    """The diagnosis where a refit would lower the residual, but by no number that has changed beyond its error."""
+    if d.verdict != "nothing_missing" or not d.out_of_date:
+        return d
+    text = d.sentence.replace(
+        _out_of_date(d), f"and no number of the model has changed by more than its error: {_levels(d)}; refitted to these "
+        f"readings the residual is {number(d.refit)} {ERROR_UNITS[d.unit]}, which may follow the drift of this record "
+        "alone",
+    )  # fmt: skip
+    return replace(d, sentence=text, within_errors=True)
+
+
+def _out_of_date(d: Diagnosis) -> str:
+    """That no effect but a refit would lower the residual: the part of a sentence."""
+    moved = d.judged.most_moved if d.judged is not None else None
+    above_all = f", above all {_moved(moved)}" if moved is not None else ""
+    return (
+        f"but the model's numbers are out of date{above_all}: {_levels(d)}; refitted to these readings the residual is "
+        f"{number(d.refit)} {ERROR_UNITS[d.unit]} {REFITS}"
+    )
+
+
+def _levels(d: Diagnosis) -> str:
+    residual, floor = sizes(d.rms_residual, d.noise_floor)
+    unit = ERROR_UNITS[d.unit]
+    return f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
+
+
 REFITS = "(`rtec improve` refits them)"
 """Advice of a diagnosis; `rtec improve` itself does not give it."""
 MOST_CHANGED = 4
@@ -273,16 +301,9 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
         text = f"an effect is missing that is not in the catalogue: the residual depends {how}on {where}{at}{near}"
         return text + _within(d) + _by_feed(d) + _by_heat(d)
-    residual, floor = sizes(d.rms_residual, d.noise_floor)
-    levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
     slow = drifts(d)
     if d.out_of_date:
-        moved = d.judged.most_moved if d.judged is not None else None
-        above_all = f", above all {_moved(moved)}" if moved is not None else ""
-        return (
-            f"no effect is missing, but the model's numbers are out of date{above_all}: {levels}; refitted to these "
-            f"readings the residual is {number(d.refit)} {unit} {REFITS}{slow}"
-        )
+        return f"no effect is missing, {_out_of_date(d)}{slow}"
     limit = ""
     if math.isfinite(smallest):
         size = f"from {significant(smallest, 2)} {unit} on"
@@ -292,7 +313,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             if little
             else f" (half of those tested {size})"
         )
-    return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
+    return f"no effect is missing that these readings could show{limit}: {_levels(d)}{slow}"
 
 
 def _missing(d: Diagnosis, unit: str) -> str:

@@ -333,7 +333,7 @@ def _next(d: Diagnosis) -> list[str]:
     # `rtec add` searches a period or a delay again; `rtec improve` begins with the one that was found.
     if sure and d.findings[0].partner is None and len(d.together) < 2 and not d.findings[0].theta:
         return [shell_command("rtec", "add", model, *as_options(d.findings[0].effect), "--data", *data, *last)]
-    if d.verdict == "undecided" or (d.verdict == "nothing_missing" and not d.out_of_date):
+    if d.verdict == "undecided" or (d.verdict == "nothing_missing" and not d.out_of_date and not d.within_errors):
         return []
     return [shell_command("rtec", "improve", *d.files, *last)]
 

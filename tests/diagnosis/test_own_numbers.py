@@ -260,3 +260,23 @@ def test_a_rival_with_more_numbers_decides_nothing(rich_first: bool, monkeypatch
 
     monkeypatch.setattr(growth, "_gaining", gaining)
     assert (growth.holding(known(), found) is not None) is rich_first
+
+
+def unsettled(name: str, seed: int) -> Measurement:
+    """A day whose zero goes its own way, and on which the bed warms by 8 K: the machine is that of every other day."""
+    rng = np.random.default_rng([seed, 5])
+    quiet = day(name, seed, 20.5, 20.5, "T_bed", rises=8.0)
+    apart = np.diff(quiet.time_s, prepend=0.0)
+    walk = np.cumsum(0.012 * np.sqrt(apart) * rng.normal(size=len(apart)))
+    return replace(quiet, readings={"reading_um": quiet.readings["reading_um"] + walk})
+
+
+def test_a_drift_that_a_refit_follows_makes_no_number_out_of_date() -> None:
+    """The true numbers are the same on both days. A refit follows the second day's drift, within the numbers' errors."""
+    wanted = read_wanted("scale,backlash,axis_expansion:EXX:sensor=T_bed", MACHINE)
+    model = fitted_model([unsettled("first", 4)], wanted=wanted)
+    found = diagnose(model, [unsettled("second", 14)], draws=50, explain=True)
+    assert found.verdict == "nothing_missing"
+    assert found.refit_fits
+    assert not found.out_of_date
+    assert "no number of the model has changed by more than its error" in found.sentence

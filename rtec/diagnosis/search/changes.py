@@ -59,7 +59,8 @@ def with_changes(found: Diagnosis, model: Model, given: Clean) -> Diagnosis:
     if beside and not doubted:
         found = words.with_changes_beside(found, beside)
     if not changed:
-        return found
+        # Unlike `known`: a number without an error may be any.
+        return words.within_errors(found) if not doubted and all(f.errors for f in model.effects) else found
     changed = with_expansions(changed, expansions_instead(model, given, changed, left.residual))
     kept = [i for i, f in enumerate(model.effects) if f.label not in {c.effect for c in changed}]
     return words.with_changes(found, changed, left.residual, left.with_own(kept))
