@@ -211,10 +211,10 @@ def within_errors(d: Diagnosis) -> Diagnosis:
     if d.verdict != "nothing_missing" or not d.out_of_date:
         return d
     text = d.sentence.replace(
-        _out_of_date(d), f"and no number of the model has changed by more than its error: {_levels(d)}; refitted to these "
-        f"readings the residual is {number(d.refit)} {ERROR_UNITS[d.unit]}, which may follow the drift of this record "
-        "alone",
-    )  # fmt: skip
+        _out_of_date(d),
+        f"and no number of the model has changed by more than its error: {_levels(d)}; refitted to these readings the "
+        f"residual is {number(d.refit)} {ERROR_UNITS[d.unit]}, which may follow the drift of this record alone",
+    )
     return replace(d, sentence=text, within_errors=True)
 
 
@@ -329,8 +329,10 @@ def _missing(d: Diagnosis, unit: str) -> str:
     removes = f"removes {percent(f.heldout_drop)} of the held-out mean square error"
     if f.heldout_drop <= 0.0:  # held-out runs are predicted better about the mean of each
         removes = "does not lower the error on held-out runs, most of which is between runs"
+    stretched = getattr(f.effect, "stretched", False)
+    slack = f" of a stretched screw, slack from {f.theta['T0']:.1f} °C on," if stretched else ""
     return (
-        f"{with_period(f.label, f.theta)} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
+        f"{with_period(f.label, f.theta)}{slack} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
         f"and adding it {removes}{_same_jump(f)}{_form_and_more(d)}{other_parts(f)}"
     )
 
@@ -639,7 +641,7 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
 
 AT = {"fixed_mm": "fixed at"}
 """Words of an argument before its value, where its name alone is no English."""
-WITHOUT = {"builds_up": "at once"}
+WITHOUT = {"builds_up": "at once", "stretched": "not stretched"}
 """Words of an argument that is false, where "no" and its name are no English."""
 
 

@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import SerializerFunctionWrapHandler, model_serializer
 
 from rtec.effects.base import (
@@ -29,6 +30,7 @@ from rtec.quantities import Millimetres
 
 LAGS_S = (300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0)
 TAU = Parameter("tau", "s", 1800.0, 10.0, 40000.0, 1800.0, LAGS_S)
+SLACK = Parameter("T0", "degc", 24.0, -20.0, 80.0, 24.0)
 SLOW = Parameter("tau", "s", 7200.0, 10.0, 40000.0, 7200.0, (1200.0, 2400.0, 4800.0, 9600.0, 19200.0))
 
 
@@ -65,15 +67,23 @@ class OneSensor(Effect):
         return channels.lagged(rise, theta["tau"]) if self.lag else rise
 
 
+STRETCHED_K = 2.0
+"""A sensor must change by this much before a temperature within its range can be told at which a screw is slack."""
+PART_OF_RANGE = 0.15
+"""That temperature lies at least this share of the range away from either end: near an end nobody sees it."""
+
+
 class AxisExpansion(OneSensor, AxisEffect):
     """Expansion of a screw or scale: `e = k (q - q_fix) ΔT`; of an angle a guideway that bends as it warms up.
 
     A guideway of two materials, or bolted to another, bends by its own temperature: its slide tilts along the travel.
+    A screw that was stretched at assembly takes up its expansion until it is slack, at `T0` °C, and grows from there on
+    (`stretched = true`).
     """
 
     about: ClassVar[About] = About(
         title="Expansion of screw or scale",
-        equation="e = k·(q - q_fix)·ΔT",
+        equation="e = k·(q - q_fix)·ΔT; with stretched = true k·(q - q_fix)·max(0, T - T0)",
         typical="11-12 µm/m/K for screws, 8 for glass scales; 5-60 µm",
         seen_by=("laser_linear", "tool_tip"),
         source="[G 3.6]",
@@ -95,6 +105,16 @@ class AxisExpansion(OneSensor, AxisEffect):
     driven_by: ClassVar[tuple[str, ...]] = ("position", "temperature")
     effect: Literal["axis_expansion"] = "axis_expansion"
     fixed_mm: Millimetres = 0.0
+    stretched: bool = False
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, serialized: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without `stretched` where it is false: models from before it keep their hash."""
+        return {k: v for k, v in serialized(self).items() if k != "stretched" or v}
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`tau` where the temperature is lagged; `T0` where the screw is stretched."""
+        return (*super().nonlinear(machine), *((SLACK,) if self.stretched else ()))
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read position and sensor."""
@@ -112,7 +132,7 @@ class AxisExpansion(OneSensor, AxisEffect):
             yield from super().suggest(around)
         else:
             for effect in super().suggest(around):
-                if isinstance(effect, cls) and effect.fixed_mm == 0.0 and not effect.lag:
+                if isinstance(effect, cls) and effect.fixed_mm == 0.0 and not effect.lag and not effect.stretched:
                     yield effect
 
     @classmethod
@@ -125,11 +145,18 @@ class AxisExpansion(OneSensor, AxisEffect):
         feet = dict.fromkeys((0.0, low, 0.5 * (low + high), high))
         for lag, sensor, fixed in itertools.product((False, True), around.sensors, feet):
             yield {"axis": around.moved.name, "sensor": sensor, "fixed_mm": fixed, "lag": lag}
+        for lag, sensor in itertools.product((False, True), around.sensors):
+            low_degc, high_degc = around.channels[sensor]
+            if high_degc - low_degc >= STRETCHED_K:
+                yield {"axis": around.moved.name, "sensor": sensor, "lag": lag, "stretched": True}
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """`(q - q_fix)` in m times `ΔT`."""
+        """`(q - q_fix)` in m times `ΔT`, or times the rise above `T0`."""
         arm = (channels.value(self.the_axis(machine).channel) - self.fixed_mm) * 1e-3
-        return [arm * self.rise(channels, theta)]
+        if not self.stretched:
+            return [arm * self.rise(channels, theta)]
+        degc = channels.value(self.sensor)
+        return [arm * np.maximum(0.0, (channels.lagged(degc, theta["tau"]) if self.lag else degc) - theta["T0"])]
 
 
 class AxisExpansionNonuniform(OneSensor, AxisEffect):

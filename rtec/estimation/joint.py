@@ -160,7 +160,8 @@ class _Work:
         out = [(i, j, 1.0) for i, j in self.followed]
         then = of_the_fit(self.earlier) if self.earlier is not None and not self.since else {}
         for j, new in enumerate(self.effects[len(self.known) :], len(self.known)):
-            degc, still = then.get(getattr(new, "sensor", "")), AT_ONE_TEMPERATURE.get(type(new))
+            slack = isinstance(new, AxisExpansion) and new.stretched  # no expansion that a scale error contains
+            degc, still = then.get(getattr(new, "sensor", "")), None if slack else AT_ONE_TEMPERATURE.get(type(new))
             known = (k for k, f in enumerate(self.known) if f.errors and still and _along(f.effect, still, new))
             i = next(known, None)
             if i is not None and degc is not None and self.earlier is not None and degc[1] - degc[0] < NARROW_K:

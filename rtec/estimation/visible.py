@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, Parameter
 from rtec.effects.base import component_kind
 from rtec.effects.geometry import Squareness
+from rtec.effects.thermal import PART_OF_RANGE, SLACK
 from rtec.machine import Axis, Machine
 from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
@@ -45,22 +46,33 @@ def within_record(effect: Effect, measurements: Sequence[Measurement], share: fl
     """Non-linear parameters of an effect, in order; bounds and grid are limited to what measurements show.
 
     A longer lag than the record hardly changes in it, and its coefficient may have any size. The exponent of a speed
-    stays at its start where a spindle turned at one speed only.
+    stays at its start where a spindle turned at one speed only. A temperature at which a screw is slack is well within
+    the range of its sensor.
 
     Args:
         effect: the effect.
         measurements: of its machine.
         share: longest delay as a share of the longest measurement.
     """
-    longest, out = share * longest_s(measurements), []
-    for p in effect.nonlinear(measurements[0].machine):
+    longest, out, machine = share * longest_s(measurements), [], measurements[0].machine
+    for p in effect.nonlinear(machine):
         if p.unit == "s" and p.low > 0.0:  # a delay; an instant may be any
             high = min(p.high, max(longest, 2.0 * p.low))
             p = replace(p, high=high, grid=tuple(v for v in p.grid if v <= high) or p.grid[:1])  # noqa: PLW2901
-        if p.name == "p" and "spindle_rpm" in effect.channels(measurements[0].machine) and not _speeds(measurements):
+        if p.name == "p" and "spindle_rpm" in effect.channels(machine) and not _speeds(measurements):
             p = replace(p, low=p.start, high=p.start, grid=(p.start,))  # noqa: PLW2901
+        if p is SLACK:
+            p = replace(p, **_within_range(str(effect.channels(machine)[-1]), measurements))  # noqa: PLW2901
         out.append(p)
     return out
+
+
+def _within_range(sensor: str, measurements: Sequence[Measurement]) -> dict[str, float]:
+    """Bounds and start of a temperature that readings must show from both sides."""
+    degc = np.concatenate([m.channels[sensor] for m in measurements if sensor in m.channels])
+    low, high = float(np.nanmin(degc)), float(np.nanmax(degc))
+    part = PART_OF_RANGE * (high - low)
+    return {"low": low + part, "high": high - part, "start": 0.5 * (low + high)}
 
 
 def _speeds(measurements: Sequence[Measurement]) -> bool:

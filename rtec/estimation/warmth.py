@@ -156,7 +156,7 @@ def misread(model: Model, readings: Readings, effect: Effect, change: float) -> 
     then, now = ({n: sum(v) / 2.0 for n, v in r.items()} for r in (of_the_fit(model), _recorded(readings.measurements)))
     known, mine = then.keys() & now.keys(), (effect.component, effect.axis)
     for f in model.effects:
-        if not isinstance(f.effect, AxisExpansion) or (f.effect.component, f.effect.axis) != mine:
+        if not isinstance(f.effect, AxisExpansion) or f.effect.stretched or (f.effect.component, f.effect.axis) != mine:
             continue
         name, k = f.effect.sensor, f.values["k"]
         others = [now[n] - then[n] for n in known if n != name]

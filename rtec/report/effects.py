@@ -24,6 +24,7 @@ ARGUMENTS: dict[str, str] = {
     "back": "the second, which is taken away from the first",
     "lag": "the temperature through a first-order lag",
     "builds_up": "the lag builds up after each reversal",
+    "stretched": "a screw that was stretched at assembly: it grows from `T0` °C on, where it is slack",
     "fixed_mm": "the place that stands still, mm",
     "degrees": "degrees of the Legendre polynomials",
     "degree": "highest power of the position",

@@ -260,7 +260,7 @@ class Knee(AxisEffect):
 
     def basis(self, machine, channels, theta):
         q = channels.value(self.the_axis(machine).channel)
-        return [np.maximum(channels.rise(self.sensor) - theta["T0"], 0.0) * q / 1000.0]
+        return [np.maximum(channels.rise(self.sensor) - theta["T0"], 0.0) * np.abs(q) / 1000.0]
 """
 MILL = """
 [machine]

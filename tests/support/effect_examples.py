@@ -112,6 +112,16 @@ OF_PLACE_AND_HEAT: tuple[Example, ...] = (
         axis="X", sensor="T_bed", fixed_mm=-30.0,
     ),
     example(
+        "axis_expansion", "EXX", {"k": "um_per_m_degc"},
+        lambda s, t: [s.value("x") / 1000 * np.clip(s.value("T_bed") - t["T0"], 0.0, None)], {"T0": 23.5},
+        axis="X", sensor="T_bed", stretched=True,
+    ),
+    example(
+        "axis_expansion", "EZZ", {"k": "um_per_m_degc"},
+        lambda s, t: [s.value("z") / 1000 * np.clip(lag(s.value("T_bed"), t["tau"]) - t["T0"], 0.0, None)],
+        {"tau": 900.0, "T0": 22.0}, axis="Z", sensor="T_bed", lag=True, stretched=True,
+    ),
+    example(
         "axis_expansion", "ECZ", {"k": "urad_per_m_degc"},
         lambda s, t: [s.value("z") / 1000 * lag(rise(s, "T_bed"), t["tau"])], {"tau": 600.0},
         axis="Z", sensor="T_bed", lag=True,

@@ -100,7 +100,7 @@ def _grows(effect: Effect, model: Model) -> Effect:
     """The expansion of the model whose fixed end a shift by its temperature moves; any other effect itself."""
     if not isinstance(effect, MountExpansion):
         return effect
-    along = [f.effect for f in model.effects if isinstance(f.effect, AxisExpansion)]
+    along = [f.effect for f in model.effects if isinstance(f.effect, AxisExpansion) and not f.effect.stretched]
     mine = (effect.component, effect.sensor, effect.lag)
     return next((e for e in along if (e.component, e.sensor, e.lag) == mine), effect)
 
@@ -148,6 +148,7 @@ def _others(effect: Effect, around: Surroundings) -> Iterator[Effect]:
         yield from effect.suggest(around)
     elif isinstance(effect, AxisEffect) and getattr(effect, "sensor", None) is not None:
         if isinstance(effect, AxisExpansion):
+            effect = effect.model_copy(update={"stretched": False})
             yield MountExpansion(component=effect.component, sensor=effect.sensor, lag=effect.lag)
         for sensor in around.sensors:
             for late in _delays(effect):

@@ -25,6 +25,8 @@ Theta = Mapping[str, float]
 
 EVALUATIONS = 12
 OPTIONS: dict[str, Any] = {"ftol": 1e-5, "xtol": 1e-6, "diff_step": 1e-4, "max_nfev": EVALUATIONS}
+BETWEEN = (0.125, 0.375, 0.625, 0.875)
+"""Places within a search of one parameter at which it may begin as well, as shares of it."""
 EDGE, END, MOVES = 1e-6, 1e-3, 3
 """Distances from the ends of a search, as shares of it, from which it starts, and from which its result is at an end;
 and how often it is then moved."""
@@ -139,6 +141,9 @@ class _Search:
         start = np.array([s.place(self.start[p.name]) for p, s in zip(self.free, self.scales, strict=True)])
         start = np.clip(start, EDGE, 1.0 - EDGE)
         first = self._left(start)
+        if len(start) == 1:  # a kink has hills of its own, each only as wide as the step between two readings
+            others = [np.array([place]) for place in BETWEEN]
+            start = min((start, *others), key=lambda x: float(np.sum((first if x is start else self._left(x)) ** 2)))
         found = least_squares(self._left, start, bounds=(0.0, 1.0), **OPTIONS)
         better = float(found.fun @ found.fun) < float(first @ first)
         return self._at(found.x) if better else self.start

@@ -175,17 +175,17 @@ def _shown(view: CompareView, source: CompareView) -> list[int]:
 def shown_residuals(session: TabSession, view: CompareView) -> tuple[ShownResidual, ...]:
     """The residuals that the page draws, with their scale."""
     source = _before(session) or view
-    series = [(view.series[k], _most(source, k)) for k in _shown(view, source)]
+    series = [(view.series[k], _most(view, source, k)) for k in _shown(view, source)]
     return tuple(ShownResidual(s, most, marked_rows(s, session.plots.marked)) for s, most in series)
 
 
 def _residual(session: TabSession, view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
-    """The residual of a reading column, on the scale of that of `source`, from which it moves if `moved`."""
-    s, began = view.series[k], source.series[k]
+    """The residual of a reading column, which moves from that of `source` if `moved`, on the scale of the larger one."""
+    s, began, most = view.series[k], source.series[k], _most(view, source, k)
     over = next(iter(s.channels))
     with ui.element("div").classes("card"):
         Words("h2", f"The residual of {s.name}")
-        after = _fixed(figures.residual_over(s, over), source, k)
+        after = _fixed(figures.residual_over(s, over), most)
         name, shows = f"add {s.name}", "The residual over position"
         brushed = session.plots.marked
         if not moved or len(began) != len(s):
@@ -193,10 +193,10 @@ def _residual(session: TabSession, view: CompareView, source: CompareView, k: in
             chart.on("brush", lambda e: session.mark(e.args)).props["data-moved"] = "yes"
             return
         rows = drawn(began.residuals, began.channels[over], began.residuals)
-        before = _fixed(figures.residual_over(began, over, "", rows), source, k)
+        before = _fixed(figures.residual_over(began, over, "", rows), most)
         chart = zoomable(session, name, before, shows, brushed=brushed).classes("tall")
         chart.on("brush", lambda e: session.mark(e.args))
-        target = _fixed(figures.residual_over(s, over, "", rows), source, k)
+        target = _fixed(figures.residual_over(s, over, "", rows), most)
         ui.timer(0.6, lambda: chart.morph(target), once=True)
 
 
@@ -205,15 +205,15 @@ def _before(session: TabSession) -> CompareView | None:
     return session.steps[at].compared if 0 <= at < len(session.steps) else None
 
 
-def _fixed(figure: dict[str, Any], scale: CompareView, k: int) -> dict[str, Any]:
-    """The figure on the scale of the larger residual, so that the fall is visible."""
-    most = _most(scale, k)
+def _fixed(figure: dict[str, Any], most: float) -> dict[str, Any]:
+    """The figure with the end of its scale, so that the fall is visible."""
     figure["layout"]["yaxis"]["range"] = [-most, most]
     return figure
 
 
-def _most(scale: CompareView, k: int) -> float:
-    return 1.08 * float(np.abs(scale.series[k].residuals).max())
+def _most(view: CompareView, source: CompareView, k: int) -> float:
+    """End of the scale that shows a reading column before and after a step: the better model may be either."""
+    return 1.08 * max(float(np.abs(v.series[k].residuals).max()) for v in (view, source))
 
 
 def commands(session: TabSession, out: str) -> list[str]:
