@@ -1,6 +1,5 @@
 """`rtec run`: the daemon, with a live table and a summary at the end; `rtec replay`: its log through the same step."""
 
-import dataclasses
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -113,8 +112,10 @@ def show_report(setup: "Setup", report: "Report") -> None:
         console.print(f"note: {warning}", style="yellow", highlight=False)
     if report.overruns:
         console.print(f"rows that did not reach the log: {report.overruns}", style="bold red")
+    if report.unfinished:
+        console.print(report.unfinished, style="bold red", highlight=False, soft_wrap=True)
     if report.interrupted:
-        did = "output at zero" if setup.step_um else "correction held"
+        did = "correction held" if report.unfinished or not setup.step_um else "output at zero"
         console.print(f"interrupted: {did}, {'log flushed, ' if report.log else ''}devices closed")
     if report.log:
         console.print(f"log: {report.log}", highlight=False, soft_wrap=True)
@@ -257,8 +258,6 @@ def _dry_run(setup: "Setup", as_json: bool) -> None:
 
 def _facts(report: "Report") -> dict[str, Any]:
     """The summary's JSON."""
-    status = dataclasses.asdict(report.status)
-    status["flags"] = report.status.reasons
     return {
         **report.summary,
         "requested_um": report.status.requested_um,
@@ -269,7 +268,7 @@ def _facts(report: "Report") -> dict[str, Any]:
         "log": str(report.log) if report.log else None,
         "rows_not_logged": report.overruns,
         "interrupted": report.interrupted,
-        "warnings": report.warnings,
+        "warnings": [*report.warnings, *filter(None, [report.unfinished])],
     }
 
 

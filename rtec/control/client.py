@@ -287,10 +287,11 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
         raise RtecError("the daemon was restarted meanwhile; look at `rtec status`")
     status = after["status"]
     count = after["events_total"] - before["events_total"]
-    new = [e for e in after["events"][-count:] if e["what"] in _NOTED.get(order, (str(order),))] if count else []
+    since = after["events"][-count:] if count else []
+    new = [e for e in since if e["what"] in _NOTED.get(order, (str(order),))]
     if order in MODE_OF:
         done = status["mode"] == _MODE_NAMES[MODE_OF[order]]
-        return _ordered(order, status, new, after) if done else None
+        return _ordered(order, status, new, after) if done else _overtaken(order, since, after)
     if order is Order.RESUME:
         return _resumed(before["status"], status, new, after) if new else None
     if not new:
@@ -298,6 +299,15 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
     if order is Order.MARK:
         return Outcome(True, f"marked row {new[-1]['row']}, {new[-1]['utc']}: {new[-1]['text']}", after)
     return Outcome(not new[-1]["what"].startswith("not "), new[-1]["text"], after)
+
+
+def _overtaken(order: Order, since: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
+    """Result of an order of a mode behind which another one came; None: none did."""
+    modes = [e for e in since if e["what"] in map(str, MODE_OF)]
+    if not modes or modes[-1]["what"] == order or all(e["what"] != order for e in modes):
+        return None
+    last = modes[-1]
+    return Outcome(False, f"{order} ordered, and then {last['what']}, by {last['who']} at {last['utc']}", after)
 
 
 def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:

@@ -40,11 +40,11 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         wait_s: longest wait for readings.
 
     Returns:
-        `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` for which the guard would hold;
+        `inputs`: (name, value, age) as text; `requested_um` by axis, empty without counts; `reasons` for which the guard would hold;
         `troubles` of devices, and of the folders for log and state.
 
     Raises:
-        RtecError: a file or device is at fault, or there were no counts.
+        RtecError: a file is at fault, or a device cannot be opened.
     """
     clock = clock or RealClock()
     step = Step(setup.step_settings())
@@ -69,20 +69,21 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
             if there or clock.now_ns() >= end_ns:
                 break
             clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
-        if sample.counts_time_ns[0] == NEVER_NS:
-            ports.counts.read_counts(sample.counts[0])  # no counts, no position: raises the device's own error
     flags = flags & ~int(STALE) | stale  # an input that was fresh at one read is alive
-    if not zero.known:
+    read = int(sample.counts_time_ns[0]) != NEVER_NS
+    known = zero.known and read
+    if not known:
         flags &= ~int(Flag.OUT_OF_RANGE)
+    requested = dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True))
     return {
-        "inputs": input_rows(setup, sample, zero.known),
-        "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
+        "inputs": input_rows(setup, sample, known),
+        "requested_um": requested if read else {},
         "reasons": [
             *(text for text in (zero.why, zero.restarted, beyond(step, output)) if text),
             *(text for flag, text in REASONS.items() if flag & Flag(flags)),
         ],
         "troubles": [*wrong, *folder_faults(setup)],
-        "notes": [*(beyond_travel(setup.machine, sample.counts[0]) if zero.known else []), *unlimited(setup)],
+        "notes": [*(beyond_travel(setup.machine, sample.counts[0]) if known else []), *unlimited(setup)],
     }
 
 
@@ -138,9 +139,11 @@ def _read(ports: Ports, sample: Samples, zero: Zero, output: IntArray) -> list[s
 def input_rows(setup: Setup, sample: Samples, zero_known: bool = True) -> list[tuple[str, str, str]]:
     """Name, value and age of every input."""
     now = int(sample.time_ns[0])
-    counts_age = f"{(now - int(sample.counts_time_ns[0])) * NS * 1e3:.1f} ms"
+    read_ns = int(sample.counts_time_ns[0])
+    counts_age = "-" if read_ns == NEVER_NS else f"{(now - read_ns) * NS * 1e3:.1f} ms"
+    unknown = "not known" if read_ns != NEVER_NS else "no reading"
     out = [
-        (f"axis {a.name}", f"{counts / a.counts_per_mm:.4f} mm" if zero_known else "not known", counts_age)
+        (f"axis {a.name}", f"{counts / a.counts_per_mm:.4f} mm" if zero_known else unknown, counts_age)
         for a, counts in zip(setup.machine.axes, sample.counts[0].tolist(), strict=True)
     ]
     for i, sensor in enumerate(setup.machine.sensors):

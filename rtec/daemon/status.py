@@ -96,6 +96,7 @@ class Report:
         status: the last row.
         flags_seen: share of cycles that carried each flag, by the flag's name.
         largest_um: largest applied correction by axis.
+        unfinished: what a sign check left in the machine, in words; empty where it left nothing.
     """
 
     summary: dict[str, Any]
@@ -106,6 +107,7 @@ class Report:
     status: Status
     flags_seen: dict[str, float]
     largest_um: dict[str, float]
+    unfinished: str = ""
 
 
 NS = 1e-9

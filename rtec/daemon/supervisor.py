@@ -245,8 +245,6 @@ class Supervisor:
                 while self._drain(ring, disk):
                     pass
         self._remove_state(ready["forgets"])
-        if unfinished := self._step_orders.trouble(self.status):
-            self.warnings.append(unfinished)
         return Report(
             summary=summary,
             warnings=self.warnings,
@@ -256,6 +254,7 @@ class Supervisor:
             status=self.status,
             flags_seen=self._watch.flags_seen,
             largest_um=self._watch.largest_um,
+            unfinished=self._step_orders.trouble(self.status),
         )
 
     def _wait_for_start(self, pipe: Connection, process: Any, workers: Workers) -> None:

@@ -444,7 +444,10 @@ def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -
     age_s, allowed_s = float(np.median(readings.counts_age_s)), patient.file.guard.counts_max_age_s
     late = float(np.mean(np.asarray(readings.counts_age_s) > allowed_s))
     is_meant = f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?"
-    enough = f"[guard] counts_max_age_s = {CYCLES_OF_AGE * cycle_ms * 1e-3:g}, {CYCLES_OF_AGE} cycles"
+    cycles_s, oldest_s = CYCLES_OF_AGE * cycle_ms * 1e-3, float(np.max(readings.counts_age_s))
+    enough = f"[guard] counts_max_age_s = {cycles_s:g}, {CYCLES_OF_AGE} cycles"
+    if oldest_s > cycles_s:
+        enough = f"[guard] counts_max_age_s = {ROOM * oldest_s:.2g}: the oldest were {oldest_s * 1e3:.0f} ms old"
     if patient.file.run.zero == "counts":
         faults += [DeviceFault(text, (OTHER_PLACE,)) for text in beyond_travel(patient.machine, readings.counts)]
     if age_s < -allowed_s:

@@ -14,8 +14,9 @@ MODES = {Order.HOLD: "hold", Order.FADE: "off", Order.ENABLE: "on"}
 class Answers:
     """A daemon that takes every order; what it says of itself follows the clock."""
 
-    def __init__(self, order: Order, clock: VirtualClock, **status: Any) -> None:
+    def __init__(self, order: Order, clock: VirtualClock, then: tuple[str, ...] = (), **status: Any) -> None:
         self._order, self._clock, self._status, self._ordered_ns = order, clock, status, -1
+        self._then = then
 
     def status(self) -> dict[str, Any]:
         """As it would be some time after the order."""
@@ -25,8 +26,9 @@ class Answers:
         status |= {
             key: value(now_ns - self._ordered_ns) if callable(value) else value for key, value in self._status.items()
         }
-        event = {"what": str(self._order), "time_ns": self._ordered_ns, "text": ""}
-        return {"pid": 1, "status": status, "events_total": int(done), "events": [event] * done}
+        event = {"what": str(self._order), "time_ns": self._ordered_ns, "text": "", "who": "ann", "utc": "12:00"}
+        events = [event, *({**event, "what": what, "who": "bob"} for what in self._then)] * done
+        return {"pid": 1, "status": status, "events_total": len(events), "events": events}
 
     def order(self, order: Order, text: str = "") -> str:
         """Taken."""
@@ -72,3 +74,13 @@ def test_without_a_folder_nothing_is_kept_and_it_is_said() -> None:
 def test_to_enable_needs_no_disk() -> None:
     clock = VirtualClock(1)
     assert carry_out(Answers(Order.ENABLE, clock), Order.ENABLE, "", clock).done  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("order", [Order.HOLD, Order.FADE])
+def test_an_order_that_another_terminal_overtakes_is_answered_at_once(order: Order) -> None:
+    """Both orders came before the next row; the mode is that of the second."""
+    clock = VirtualClock(1)
+    daemon = Answers(order, clock, then=("note", "enable"), mode="on")
+    found = carry_out(daemon, order, "", clock)  # type: ignore[arg-type]
+    assert (found.done, found.text) == (False, f"{order} ordered, and then enable, by bob at 12:00")
+    assert clock.now_ns() < 1e9

@@ -272,7 +272,7 @@ def unsettled(name: str, seed: int) -> Measurement:
 
 
 def test_a_drift_that_a_refit_follows_makes_no_number_out_of_date() -> None:
-    """The true numbers are the same on both days. A refit follows the second day's drift, within the numbers' errors."""
+    """The true numbers are the same on both days. A refit follows the second day's drift, within their errors."""
     wanted = read_wanted("scale,backlash,axis_expansion:EXX:sensor=T_bed", MACHINE)
     model = fitted_model([unsettled("first", 4)], wanted=wanted)
     found = diagnose(model, [unsettled("second", 14)], draws=50, explain=True)

@@ -42,7 +42,7 @@ def screw_um(place_mm: np.ndarray, degc: np.ndarray, strain: float) -> np.ndarra
 
 
 def day(seed: int, strain: float, slack: bool = True) -> Measurement:
-    """Ten runs there and back over a warm-up of the screw by 9 K; the bed follows the room. A strain of 4 K is 46e-6."""
+    """Ten runs there and back over a warm-up of the screw by 9 K; the bed follows the room. 46e-6 are 4 K."""
     rng = np.random.default_rng(seed)
     places = np.linspace(15.0, 585.0, 14)
     x = np.tile(np.concatenate([places, places[::-1]]), 10)
@@ -55,8 +55,9 @@ def day(seed: int, strain: float, slack: bool = True) -> Measurement:
     reading = shift + 0.8 * way + NOISE_UM * rng.normal(size=len(x))
     read = {k: np.round(v + 0.03 * rng.normal(size=len(x)), 1) for k, v in (("T_x_nut", nut), ("T_bed", bed))}
     return Measurement(
-        name=f"laser-{seed}", machine=MACHINE, instrument=make_instrument("laser_linear", {}, "X", None, MACHINE, "test"),
-        run=run, time_s=time_s, channels={"x": x, "d_x": way, **read}, readings={"reading_um": reading},
+        name=f"laser-{seed}", machine=MACHINE, run=run,
+        instrument=make_instrument("laser_linear", {}, "X", None, MACHINE, "test"), time_s=time_s,
+        channels={"x": x, "d_x": way, **read}, readings={"reading_um": reading},
     )  # fmt: skip
 
 

@@ -180,7 +180,7 @@ def shown_residuals(session: TabSession, view: CompareView) -> tuple[ShownResidu
 
 
 def _residual(session: TabSession, view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
-    """The residual of a reading column, which moves from that of `source` if `moved`, on the scale of the larger one."""
+    """The residual of a reading column, on the scale of the larger one; it moves from that of `source` if `moved`."""
     s, began, most = view.series[k], source.series[k], _most(view, source, k)
     over = next(iter(s.channels))
     with ui.element("div").classes("card"):
