@@ -40,7 +40,8 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         wait_s: longest wait for readings.
 
     Returns:
-        `inputs`: (name, value, age) as text; `requested_um` by axis, empty without counts; `reasons` for which the guard would hold;
+        `inputs`: (name, value, age) as text; `requested_um` by axis, empty without counts; `reasons` for which the
+        guard would hold;
         `troubles` of devices, and of the folders for log and state.
 
     Raises:

@@ -30,7 +30,7 @@ from rtec.doctor.readings import (
 )
 from rtec.errors import DriverError, DriverTimeout, RtecError
 from rtec.loop.clock import Clock, RealClock
-from rtec.loop.devices import device_options, make_device
+from rtec.loop.devices import device_options, make_device, out_of_range
 from rtec.loop.driver_info import CAN_BE
 from rtec.loop.run_file import RunFile, load_setup
 from rtec.machine import load_machine
@@ -126,6 +126,8 @@ class Look:
             try:
                 self.found.values += readings.output_values()
                 self.found.wrong += output_faults(self._patient, readings)
+                less = out_of_range(self._device, self._patient.machine, self._patient.file)
+                self.found.wrong += [DeviceFault(text, ()) for text in less]
             except DriverError as e:
                 self._wrong(e)
         for ability in abilities:

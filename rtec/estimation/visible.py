@@ -62,17 +62,17 @@ def within_record(effect: Effect, measurements: Sequence[Measurement], share: fl
         if p.name == "p" and "spindle_rpm" in effect.channels(machine) and not _speeds(measurements):
             p = replace(p, low=p.start, high=p.start, grid=(p.start,))  # noqa: PLW2901
         if p is SLACK:
-            p = replace(p, **_within_range(str(effect.channels(machine)[-1]), measurements))  # noqa: PLW2901
+            p = _within_range(p, effect.channels(machine)[-1], measurements)  # noqa: PLW2901
         out.append(p)
     return out
 
 
-def _within_range(sensor: str, measurements: Sequence[Measurement]) -> dict[str, float]:
-    """Bounds and start of a temperature that readings must show from both sides."""
+def _within_range(p: Parameter, sensor: str, measurements: Sequence[Measurement]) -> Parameter:
+    """A temperature that readings must show from both sides, bounded so."""
     degc = np.concatenate([m.channels[sensor] for m in measurements if sensor in m.channels])
     low, high = float(np.nanmin(degc)), float(np.nanmax(degc))
     part = PART_OF_RANGE * (high - low)
-    return {"low": low + part, "high": high - part, "start": 0.5 * (low + high)}
+    return replace(p, low=low + part, high=high - part, start=0.5 * (low + high))
 
 
 def _speeds(measurements: Sequence[Measurement]) -> bool:

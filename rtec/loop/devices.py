@@ -1,10 +1,11 @@
 """Finds drivers by name, makes the devices of a run file, and opens them together."""
 
+import math
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel
 
@@ -18,6 +19,7 @@ from rtec.loop.ports import (
     Device,
     Incremental,
     NoActuator,
+    Ranged,
     Resumable,
     SpindleSource,
     TemperatureSource,
@@ -26,7 +28,9 @@ from rtec.machine import Machine
 from rtec.tomlfile import validated
 
 if TYPE_CHECKING:
-    from rtec.loop.run_file import Roles, Setup
+    from rtec.loop.run_file import Roles, RunFile, Setup
+
+LESS: Final = "lower stop_um, or raise the actuator's own limit"
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ def open_ports(setup: "Setup", devices: Mapping[str, Any], stack: ExitStack) -> 
     """Open all devices on the stack, which holds and closes them; give them by role.
 
     Raises:
-        DriverUnavailable: every device that could not be opened.
+        DriverUnavailable: every device that could not be opened; an actuator that takes less than a run may ask for.
     """
     faults = []
     for name, device in devices.items():
@@ -106,9 +110,12 @@ def open_ports(setup: "Setup", devices: Mapping[str, Any], stack: ExitStack) -> 
             stack.enter_context(device)
         except RtecError as e:
             faults.append(f"[device.{name}] {e}")
+    role = setup.file.role
+    if not faults and role.actuator:
+        less = out_of_range(devices[role.actuator], setup.machine, setup.file)
+        faults += [f"[device.{role.actuator}] {text}" for text in less]
     if faults:
         raise DriverUnavailable("\n".join(faults))
-    role = setup.file.role
     return Ports(
         counts=devices[role.counts],
         temperatures=tuple(devices[name] for name in role.temperatures),
@@ -180,6 +187,20 @@ def _sink_faults(devices: Mapping[str, object], setup: "Setup") -> list[str]:
         why = actuator.refuses(setup.file.output.get(axis.name, PulseSink()))
         if why:
             out.append(f"{setup.path}: [output.{axis.name}] [device.{setup.file.role.actuator}] {why}")
+    return out
+
+
+def out_of_range(actuator: object, machine: Machine, file: "RunFile") -> list[str]:
+    """Axes of which the guard allows a correction that the opened actuator does not take."""
+    if not isinstance(actuator, Ranged):
+        return []
+    out = []
+    for axis, most_um in zip(machine.axes, actuator.most_um, strict=True):
+        limits, own_um = file.limits.get(axis.name), getattr(file.output.get(axis.name), "max_um", math.inf)
+        if limits is not None and min(limits.stop_um, own_um) > most_um:
+            out.append(
+                f"it takes at most {most_um:g} µm of axis {axis.name}, and stop_um is {limits.stop_um:g}: {LESS}"
+            )
     return out
 
 

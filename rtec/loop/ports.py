@@ -150,6 +150,16 @@ class OneWay(Protocol):
 
 
 @runtime_checkable
+class Ranged(Protocol):
+    """An actuator that knows, once it is open, how much it takes: a run that could ask for more is refused."""
+
+    @property
+    def most_um(self) -> Sequence[float]:
+        """The largest output of each axis, in the machine's order, µm."""
+        ...
+
+
+@runtime_checkable
 class Resumable(Protocol):
     """Stops by itself after a fault, such as a box that restarted or a lost position; goes on when ordered."""
 

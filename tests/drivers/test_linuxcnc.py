@@ -10,9 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.correction.sinks import FollowingErrorSink, PulseSink
+from rtec.loop.clock import RealClock
 from rtec.machine import load_machine
 from rtec.model import load_model
-from rtec_drivers.linuxcnc.driver import LinuxCncDriver
+from rtec_drivers.linuxcnc.driver import LinuxCncDriver, LinuxCncOptions
 from tests.support.conformance import DriverLaws, Rig
 from tests.support.linuxcnc_loop import Floats, LoopThread, run_files, start_daemon, until_pins
 from tests.support.linuxcnc_session import CONFIGS, Session, why_not
@@ -47,6 +48,24 @@ class TestLinuxCnc(DriverLaws):
             output=(300, -500, 20),
             missing={"socket": str(mill.folder / "no-such.sock")},
         )
+
+
+def test_the_bridge_tells_the_narrower_of_its_own_limit_and_hals(mill: Session) -> None:
+    """Oracle: `--max-um 200` and limit3 in the machine's HAL file, and `halcmd setp`."""
+    driver = LinuxCncDriver(
+        LinuxCncOptions.model_validate({"socket": str(mill.folder / "mill.sock")}),
+        load_machine(CONFIGS / "mill-machine.toml"),
+        RealClock(),
+    )
+    with driver:
+        whole = driver.most_um
+    assert whole == pytest.approx((200.0, 200.0, 200.0))
+    mill.hal("setp", "rtec-limit-y.min", "-0.15")
+    try:
+        with driver:
+            assert driver.most_um == pytest.approx((200.0, 150.0, 200.0))
+    finally:
+        mill.hal("setp", "rtec-limit-y.min", "-0.2")
 
 
 AXES, Z = 3, 2

@@ -276,8 +276,17 @@ class HalBridge:
                 "actuator": options.actuator,
                 "unit_um": options.unit_um,
                 "component": prefix,
+                "max_um": [self.most_um(a) for a in options.axes],
             }
         )
+
+    def most_um(self, axis: str) -> float:
+        """The largest output of an axis: the option's, or that of its limit3 as docs/linuxcnc.md names it."""
+        most = self.options.max_um if self.options.actuator != "pulse" else 1e9
+        for pin, sign in (("max", 1.0), ("min", -1.0)):
+            with contextlib.suppress(RuntimeError):  # no such pin: nothing limits it there
+                most = min(most, sign * hal.get_value(f"rtec-limit-{axis.lower()}.{pin}") * self.mm * 1e3)
+        return most
 
     def take(self) -> bool:
         """Receive one message from the client, if there is one, and answer it at once; return whether there was one."""

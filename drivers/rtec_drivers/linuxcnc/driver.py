@@ -191,6 +191,12 @@ unit_um = 0.01
         options = self.options
         return differs(sink, options.actuator, options.unit_um)
 
+    @property
+    def most_um(self) -> tuple[float, ...]:
+        """The largest output of each axis, µm, by the bridge's option and HAL's limit3; no limit before it is open."""
+        known = self._link.hello.max_um if self._link is not None else ()
+        return known or (math.inf,) * len(self._machine.axes)
+
     def apply(self, output: IntArray) -> None:
         """Send the absolute output of every axis; does not wait.
 

@@ -20,7 +20,7 @@ MAX_MM = 1e6
 
 
 class BridgeHello(Strict):
-    """First message of the bridge: its options from LinuxCNC's HAL file."""
+    """First message of the bridge: its options from LinuxCNC's HAL file, and the largest output of each axis, µm."""
 
     hello: Annotated[int, Field(ge=0, le=1000)]
     session: str
@@ -30,6 +30,7 @@ class BridgeHello(Strict):
     actuator: str
     unit_um: MicrometresPositive
     component: str
+    max_um: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
