@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 
 from rtec.errors import ConfigError, RtecError
 from rtec.text import clean
+from rtec.wording import counted
 
 M = TypeVar("M", bound=BaseModel)
 MAX_BYTES = 64 * 1024 * 1024
@@ -143,7 +144,22 @@ def validated(kind: type[M], data: object, source: str, error: type[RtecError] =
         # As JSON and strict: a list may be a tuple and a text a path, but "1000" and true are no numbers.
         return kind.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as e:
-        raise error("\n".join(_fault(kind, item, source) for item in e.errors())) from e
+        raise error("\n".join(_faults(kind, e, source))) from e
+
+
+def fault_of_key(kind: type[BaseModel], key: str, value: object, source: str) -> str:
+    """What is wrong with the value of one key, whatever the others are; "" where nothing is."""
+    try:
+        kind.model_validate_json(json.dumps({key: value}, default=str), strict=True)
+    except ValidationError as e:
+        return next(iter(_faults(kind, e, source, key)), "")
+    return ""
+
+
+def _faults(kind: type[BaseModel], error: ValidationError, source: str, key: str = "") -> list[str]:
+    """The faults of one key, or of all; what a list lacks is one."""
+    items = [item for item in error.errors() if not key or item["loc"][:1] == (key,)]
+    return list(dict.fromkeys(_fault(kind, item, source, items) for item in items))
 
 
 def digest(value: object) -> str:
@@ -173,7 +189,7 @@ def nearest(word: str, allowed: typing.Iterable[str]) -> str:
     return f"; allowed: {', '.join(names)}" if names else ""
 
 
-def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str) -> str:
+def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str, items: Sequence[Mapping[str, Any]]) -> str:
     loc = _joined(_without_tags(kind, item["loc"]))
     if item["type"] == "extra_forbidden":
         key = str(loc[-1])
@@ -184,7 +200,10 @@ def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str) -> str:
         said = f"{key}: must be one of {allowed}, found {tag!r}" if tag else f"key {key!r} is missing"
         return f"{source}: {_section(loc)}{said}"
     if item["type"] == "missing" and isinstance(item["loc"][-1], int):
-        return f"{source}: {_section(loc[:-1])}{loc[-1]}: is missing"
+        *list_loc, _ = item["loc"]
+        there, needed = len(item["input"]), max(i["loc"][-1] for i in items if [*i["loc"][:-1]] == list_loc) + 1
+        name = str(loc[-1]).rpartition("[")[0]
+        return f"{source}: {_section(loc[:-1])}{name}: has {counted(there, 'value')}, and {needed} are needed"
     if item["type"] == "missing":
         return f"{source}: {_section(loc[:-1])}key {str(loc[-1])!r} is missing"
     if item["type"] == "model_type":

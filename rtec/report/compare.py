@@ -1,6 +1,5 @@
 """Report of a comparison: the residual against the noise floor, where it is largest, what the model predicts."""
 
-import re
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -17,7 +16,7 @@ from rtec.estimation.outliers import left_out
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.visible import moves
 from rtec.report import compare_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, shell_command
+from rtec.report.page import Figure, Page, Section, Table, name_of_file, shell_command
 from rtec.version import __version__
 from rtec.wording import ERROR_UNITS, decimals, number, percent, significant, sizes
 
@@ -317,9 +316,15 @@ def _pictures(c: Comparison) -> list[Section]:
     for item, s in sorted(zip(c.items, c.traces.readings.series, strict=True), key=lambda pair: _badness(pair[0])):
         several = sum(i.name == item.name for i in c.items) > 1
         title = f"{item.name} {item.column}" if several else item.name
-        file = re.sub(r"[^A-Za-z0-9_.-]+", "-", title.replace(" ", "-")).strip(".-") or "measurement"
         for kind, figure in _figures(c, item, s, title):
-            out.append(Section(f"{title}: {kind}", [], None, Figure(f"{file}-{figure.name}", figure.png, figure.shows)))
+            out.append(
+                Section(
+                    f"{title}: {kind}",
+                    [],
+                    None,
+                    Figure(f"{name_of_file(title)}-{figure.name}", figure.png, figure.shows),
+                )
+            )
     return out
 
 

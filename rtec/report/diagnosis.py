@@ -1,7 +1,6 @@
 """Report of a diagnosis; its figures are the evidence of a finding, and the candidates beside each other."""
 
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
@@ -18,7 +17,7 @@ from rtec.effects.effect_list import as_options, as_text
 from rtec.model import FittedEffect
 from rtec.report.evidence import Amplitudes, Evidence, evidence
 from rtec.report.figures import GREY, OFF, ON, WHOLE, Zoom, as_png, canvas, room_above, stacked, zoomed
-from rtec.report.page import Figure, Page, Section, Table, shell_command
+from rtec.report.page import Figure, Page, Section, Table, name_of_file, shell_command
 from rtec.version import __version__
 from rtec.wording import ERROR_UNITS, NONE, counted, decimals, number, percent, probability, sizes
 
@@ -412,7 +411,7 @@ def on_its_circle(p: Picture, circle: OnCircle) -> Section:
     names = ("residual before", "fitted effect", "residual after")
     png = polar_pair(p.title, circle.letters, trace, names)
     shows = "Residual and fitted effect drawn outwards from the circle; beside it what is then the residual."
-    file = re.sub(r"[^A-Za-z0-9_.-]+", "-", p.title.rpartition(", in ")[2])
+    file = name_of_file(p.title.rpartition(", in ")[2])
     return Section(f"On the circle: {p.title}", [], None, Figure(f"polar-{file}.png", png, shows))
 
 

@@ -5,6 +5,7 @@ without colour is enough. The input is arrays only: this module does not depend 
 """
 
 import functools
+import warnings
 from collections.abc import Callable, Mapping
 from io import BytesIO
 from textwrap import fill
@@ -79,7 +80,9 @@ def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, Png]:
                     text.set_parse_math(False)
                     if text.get_fontweight() == "bold":
                         text.set_text(_wrapped_title(text))
-            figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "Glyph .* missing")  # it is drawn as a box
+                figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
         png = Png(out.getvalue())
         png.figure = figure
         return png

@@ -1,12 +1,14 @@
 """A report: its parts, their self-contained HTML file (no scripts, no network), and its folder."""
 
 import json
+import re
 import shutil
 import tempfile
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
+from itertools import count
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -73,10 +75,30 @@ class Page:
     brief: Section | None = None
     next: Sequence[str] = field(default_factory=tuple)
 
+    def __post_init__(self) -> None:
+        """Give a figure whose name another one has, on a disk that may not tell "X" from "x", a name of its own."""
+        taken: set[str] = set()
+        sections = [replace(s, figure=_apart(s.figure, taken)) if s.figure else s for s in self.sections]
+        object.__setattr__(self, "sections", sections)
+
     @property
     def first_figure(self) -> Figure | None:
         """The first figure of the page; None where there is none."""
         return next((s.figure for s in self.sections if s.figure), None)
+
+
+def _apart(figure: Figure, taken: set[str]) -> Figure:
+    """The figure under a name that is not taken yet, which is then taken."""
+    stem, dot, kind = figure.name.rpartition(".")
+    names = (figure.name if i == 1 else f"{stem}-{i}{dot}{kind}" for i in count(1))
+    name = next(n for n in names if n.lower() not in taken)
+    taken.add(name.lower())
+    return replace(figure, name=name)
+
+
+def name_of_file(title: str) -> str:
+    """A title as the beginning of a file's name: its letters, digits and signs that every disk takes."""
+    return re.sub(r"[^\w.+-]+", "-", title).strip(".-") or "measurement"
 
 
 def shell_command(*words: object) -> str:

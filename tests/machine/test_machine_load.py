@@ -84,7 +84,7 @@ FAULTS: list[tuple[Callable[[Table], object], str]] = [
         put("axis", "X", "travel_mm", [0.0, "b"]),
         "[axis.X] travel_mm[1]: Input should be a valid number, found 'b'",
     ),
-    (put("axis", "X", "travel_mm", [0.0]), "[axis.X] travel_mm[1]: is missing"),
+    (put("axis", "X", "travel_mm", [0.0]), "[axis.X] travel_mm: has 1 value, and 2 are needed"),
     (
         put("link", "tool", "offset_mm", [0, 0, 0, 0]),
         "[link.tool] offset_mm: Tuple should have at most 3 items after validation, not 4",

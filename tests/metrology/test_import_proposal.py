@@ -19,7 +19,15 @@ from rtec.cli.main import status
 from rtec.errors import MeasurementError
 from rtec.machine import load_machine
 from rtec.metrology.files.load import load_measurement
-from rtec.metrology.importing import Imported, ImportProposal, import_measurement, import_table, load_map, propose
+from rtec.metrology.importing import (
+    Imported,
+    ImportProposal,
+    import_measurement,
+    import_table,
+    import_to_files,
+    load_map,
+    propose,
+)
 from rtec.metrology.importing.rows import condition
 from rtec.metrology.importing.words import sign_said
 from tests.support.foreign_tables import ANSWERS, BEGAN, WRITTEN, Row, comma, date_and_time, rows, semicolons
@@ -49,6 +57,35 @@ def test_five_foreign_tables_are_one_command_away(way: str, tmp_path: Path, caps
     assert m.run.tolist() == [1 + i // 11 for i in range(66)]
     again = import_table(file, load_map(tmp_path / "laser-x-map.toml"))
     np.testing.assert_array_equal(again.columns["reading_um"], m.readings["reading_um"])
+
+
+def test_a_wrong_set_up_is_refused_where_it_is_answered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The third number of an offset is forgotten. Nothing is written, so that the corrected answer goes through."""
+    file = put(tmp_path, WRITTEN["semicolons"](rows()), "foreign.txt")
+    given = [x for a in ANSWERS.get("semicolons", []) for x in ("--answer", a)]
+    words = ["import", str(file), "--machine", str(TURNING), *given, "-o", str(tmp_path / "laser-x")]
+    assert status([*words, "--answer", "setup.beam_offset_mm=[0, 180]"]) == 2
+    assert "foreign.txt: [setup]: beam_offset_mm: has 2 values, and 3 are needed" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["foreign.txt"]
+    assert status([*words, "--answer", "setup.beam_offset_mm=[0, 180, 0]"]) == 0
+
+
+def test_an_import_that_fails_its_check_leaves_what_was_there(tmp_path: Path) -> None:
+    """A map with a set-up that cannot be; by `--force` over a good measurement. Oracle: the folder's files before."""
+    file = put(tmp_path, WRITTEN["semicolons"](rows()), "foreign.txt")
+    given = [x for a in ANSWERS.get("semicolons", []) for x in ("--answer", a)]
+    out = tmp_path / "laser-x"
+    assert status(["import", str(file), "--machine", str(TURNING), *given, "-o", str(out)]) == 0
+    how = load_map(tmp_path / "laser-x-map.toml")
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    wrong = how.model_copy(update={"setup": {"beam_offset_mm": [0.0, 180.0]}})
+    for name, force in (("laser-x", True), ("other", False)):
+        with pytest.raises(MeasurementError) as refused:
+            import_to_files(file, wrong, tmp_path / name, MACHINE, force=force)
+        assert str(refused.value).startswith(f"{tmp_path / name}.toml: [setup]: beam_offset_mm: has 2 values")
+        assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    with pytest.raises(MeasurementError, match=r"^foreign\.toml: \[setup\]: beam_offset_mm"):
+        import_measurement(file, wrong, MACHINE)
 
 
 def excel(data: list[Row]) -> str:

@@ -172,7 +172,7 @@ FAULTS: list[tuple[Callable[[Table], None], str]] = [
     ),
     (put("valid_range", "T_ari", [0.0, 1.0]), "[valid_range] 'T_ari' is no channel; did you mean 'T_air'?"),
     (put("valid_range", "x", [1.0, 0.0]), "[valid_range] x: [1.0, 0.0]: need lowest <= highest"),
-    (put("valid_range", "x", [1.0]), "[valid_range] x[1]: is missing"),
+    (put("valid_range", "x", [1.0]), "[valid_range] x: has 1 value, and 2 are needed"),
 ]
 
 

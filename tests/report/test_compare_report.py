@@ -1,6 +1,7 @@
 """What the report of a comparison shows: the stack of effects, several instruments at once, units kept apart."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.report.compare import compare_page
 from rtec.report.compare_figures import COLOURS, OTHERS, colours, stack_along
+from rtec.report.page import write_page
 from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
 from tests.diagnosis.test_compare import SCALE, model
@@ -87,6 +89,19 @@ def test_columns_of_one_instrument_are_told_apart() -> None:
     assert {"tip-reading_x_um-position.png", "tip-reading_y_um-position.png"} <= shown
     # No effect of the model shows in y.
     assert "tip-reading_y_um-effects.png" not in shown
+
+
+@pytest.mark.filterwarnings("error")
+def test_each_measurement_has_pictures_of_its_own(tmp_path: Path) -> None:
+    """Names that differ only in a sign, in a letter's size or in signs that no font has. Oracle: the titles drawn."""
+    names = ["laser X+", "laser X-", "LASER x-", "Messung Süd", "测量一", "测量二", "a/b", "a b"]
+    page = compare_page(compare(model(SCALE), [replace(laser([SCALE], 40 + i), name=n) for i, n in enumerate(names)]))
+    places = {s.heading: s.figure.name for s in page.sections if s.figure and "predicted" in s.heading}
+    assert len({name.lower() for name in places.values()}) == len(places) == len(names)
+    assert places["laser X+: measured and predicted"] == "laser-X+-position.png"
+    assert places["Messung Süd: measured and predicted"] == "Messung-Süd-position.png"
+    write_page(page, {}, tmp_path)
+    assert {p.name for p in tmp_path.glob("*.png")} == {s.figure.name for s in page.sections if s.figure}
 
 
 def test_effects_of_one_kind_have_labels_of_their_own() -> None:

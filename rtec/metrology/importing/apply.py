@@ -1,7 +1,8 @@
 """Applies a map: turns a table of another program into the columns of a measurement, with notes on every step."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -226,7 +227,10 @@ def import_measurement(paths: Path | Sequence[Path], how: ImportMap, machine: Ma
     """
     first = paths if isinstance(paths, Path) else paths[0]
     with TemporaryDirectory() as folder:
-        done = import_to_files(paths, how, Path(folder) / f"{first.stem}.csv", machine)
+        try:
+            done = import_to_files(paths, how, Path(folder) / f"{first.stem}.csv", machine)
+        except MeasurementError as e:
+            raise MeasurementError(str(e).replace(f"{folder}/", "")) from e
     assert done.measurement is not None  # noqa: S101 (a machine was given)
     return done.measurement
 
@@ -276,9 +280,30 @@ def import_to_files(
     head["notes"] = [*head["notes"], f"imported from {', '.join(p.name for p in files)}", *done.notes]
     numbers = [n for code in missing_codes if (n := _number(code)) is not None]
     accepted = {"drop_bad_rows": drop_bad_rows or None, "missing_codes": numbers or None}
-    write_files(table, done.columns, head, how.setup, accepted)
-    read = load_measurement(table, machine) if machine is not None else None
+    if machine is None:
+        write_files(table, done.columns, head, how.setup, accepted)
+        return replace(done, table=table)
+    with _put_in_place_at_end(table) as new:
+        write_files(new, done.columns, head, how.setup, accepted)
+        try:
+            read = load_measurement(new, machine)
+        except MeasurementError as e:
+            raise MeasurementError(str(e).replace(str(new.parent), str(table.parent))) from e
     return replace(done, measurement=read, table=table)
+
+
+@contextmanager
+def _put_in_place_at_end(table: Path) -> Iterator[Path]:
+    """A place beside a table, from which it and its TOML move to their own places; after an error nothing is there."""
+    try:
+        table.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".import-", dir=table.parent) as folder:
+            new = Path(folder) / table.name
+            yield new
+            for file in (new, new.with_suffix(".toml")):
+                file.replace(table.with_name(file.name))
+    except OSError as e:
+        raise MeasurementError(f"{table}: cannot be written: {e.strerror}") from e
 
 
 def _number(text: str) -> float | None:

@@ -36,7 +36,7 @@ from rtec.metrology.readers.delimited import bracketed, table_of, unit_named
 from rtec.metrology.readers.layout import Guess, layout
 from rtec.metrology.readers.registry import READERS
 from rtec.text import clean
-from rtec.tomlfile import nearest, validated
+from rtec.tomlfile import fault_of_key, nearest, validated
 
 FIRST = 4
 """Number of values that are shown of each column."""
@@ -570,6 +570,8 @@ def _setup(
         answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))
         if answer is not None:
             out[name] = choices[answer] if choices else _value(answer, name, asker.source)
+            if fault := fault_of_key(kind.setup_model, name, out[name], f"{asker.source}: [setup]"):
+                raise MeasurementError(fault)
     return out
 
 
