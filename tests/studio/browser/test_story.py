@@ -127,12 +127,25 @@ def test_no_request_leaves_this_computer(story: Watched) -> None:
     assert story.complaints == []
 
 
+LARGEST = """() => Math.max(...[...document.querySelectorAll(".chart")]
+  .filter((e) => e._fullLayout?.yaxis?.type === "linear")
+  .flatMap((e) => (e.data ?? []).flatMap((t) => [...(t.y ?? [])])))"""
+HIDDEN_READINGS = """() => [...document.querySelectorAll(".chart")]
+  .filter((e) => e.data?.length && e._fullLayout?.yaxis?.type === "linear")
+  .map((e) => [e._fullLayout.yaxis.range, e.data.flatMap((t) => [...(t.y ?? [])])])
+  .reduce((n, [[low, high], y]) => n + y.filter((v) => v < low || v > high).length, 0)"""
+"""Number of readings beyond the ends of their axis."""
+
+
 def test_undo_and_redo_move_along_the_staircase(story: Watched) -> None:
-    """Oracle: the lead of the page, which names the effect only while it is in the model."""
+    """Oracle: the lead of the page, which names the effect only while it is in the model; every reading is on screen."""
     page = story.page
     page.get_by_role("button", name="Undo").click()
     page.get_by_role("button", name="Save", exact=True).wait_for(state="detached")
     assert page.get_by_role("button", name="Undo").is_disabled()
+    page.get_by_text("The residual of laser-a").scroll_into_view_if_needed()
+    page.wait_for_function(f"() => ({LARGEST})() > 1.0")  # the backlash of 2 µm is back; it left less
+    assert page.evaluate(HIDDEN_READINGS) == 0
     page.get_by_role("button", name="Redo").click()
     page.get_by_text("Saved as better.toml.").wait_for()
 
