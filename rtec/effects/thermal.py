@@ -30,7 +30,7 @@ from rtec.quantities import Millimetres
 
 LAGS_S = (300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0)
 TAU = Parameter("tau", "s", 1800.0, 10.0, 40000.0, 1800.0, LAGS_S)
-SLACK = Parameter("T0", "degc", 24.0, -20.0, 80.0, 24.0)
+SLACK = Parameter("T0", "degC", 24.0, -20.0, 80.0, 24.0)
 SLOW = Parameter("tau", "s", 7200.0, 10.0, 40000.0, 7200.0, (1200.0, 2400.0, 4800.0, 9600.0, 19200.0))
 
 

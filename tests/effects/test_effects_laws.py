@@ -71,7 +71,7 @@ def test_nonlinear_parameters_have_units_and_bounds(example: Example) -> None:
     parameters = example.effect.nonlinear(MACHINE)
     assert {p.name for p in parameters} == set(example.theta)
     for p in parameters:
-        assert p.unit in ("s", "mm", "mm_per_s", "degc", "1")
+        assert p.unit in ("s", "mm", "mm_per_s", "degC", "1")
         assert math.isfinite(p.low)
         assert p.low < p.start < p.high
         assert p.low < example.theta[p.name] < p.high
