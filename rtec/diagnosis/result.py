@@ -240,6 +240,7 @@ class Picture:
         direction: last direction of the first driver where it is a position, (n,); None otherwise.
         time_s, run: of each reading, (n,).
         title: the label and the measurement, with its column where it has several.
+        place: the measurement, with its column where it has several.
         others: pictures of the other reading columns that the finding moves most, strongest first.
         circle: for a ball bar.
     """
@@ -253,6 +254,7 @@ class Picture:
     time_s: Floats
     run: NDArray[np.int64]
     title: str = ""
+    place: str = ""
     others: "tuple[Picture, ...]" = ()
     period_mm: float | None = None
     circle: OnCircle | None = None

@@ -412,7 +412,7 @@ def on_its_circle(p: Picture, circle: OnCircle) -> Section:
     names = ("residual before", "fitted effect", "residual after")
     png = polar_pair(p.title, circle.letters, trace, names)
     shows = "Residual and fitted effect drawn outwards from the circle; beside it what is then the residual."
-    file = re.sub(r"[^A-Za-z0-9_.-]+", "-", p.title.rpartition(", in ")[2])
+    file = re.sub(r"[^A-Za-z0-9_.-]+", "-", p.place)
     return Section(f"On the circle: {p.title}", [], None, Figure(f"polar-{file}.png", png, shows))
 
 

@@ -476,5 +476,7 @@ def preview(line: Reporter, model: "Model", request: EffectRequest, files: Seque
     read = load_measurements(files, model.machine)
     shown = previewed(model, read, request.expression, request.parameters, request.component)
     fall = f"removes {percent(shown.removed)}" if shown.removed > 0.0 else "removes nothing"
-    words = f"With these parameters it {fall} of the mean square of the residual of these readings."
+    words = f"With these parameters it {fall} of the mean square of the residual of all readings."
+    if shown.columns > 1:
+        words += f" The curve is drawn on {shown.picture.place}, where it explains most."
     return PreviewView(evidence(shown.picture), words)

@@ -85,13 +85,12 @@ def _of_series(
     if axis is not None:
         way = readings.channel(axis.direction_channel)[rows]
         direction = way if np.isfinite(way).all() and np.ptp(way) > 0 else None
-    circle = _on_circle(readings, series)
+    circle, place = _on_circle(readings, series), series_name(readings, series)
     # The angle shows more than the positions of two axes.
     known = [*([("angle_deg", "deg", np.rad2deg(circle.angle_rad))] if circle else []), *known]
     return Picture(
         label, "urad" if series.unit == "urad" else "um", residual[rows], part[rows], tuple(known), direction,
-        readings.time_s[rows], series.run, f"{label}, in {series_name(readings, series)}",
-        circle=circle,
+        readings.time_s[rows], series.run, f"{label}, in {place}", place, circle=circle,
     )  # fmt: skip
 
 
