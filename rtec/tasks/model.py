@@ -310,7 +310,8 @@ def _curves(d: "Diagnosis") -> dict[int, "tuple[Evidence, ...]"]:
     from rtec.diagnosis.search.picture import of_finding
     from rtec.report.evidence import evidence
 
-    pictures = {0: d.picture} | {f.rank: of_finding(d, f) for f in d.findings[:SHOWN]}
+    unnamed = {} if d.shows_rank_1 else {0: d.picture}
+    pictures = unnamed | {f.rank: of_finding(d, f) for f in d.findings[:SHOWN]}
     return {
         rank: tuple(evidence(q) for q in (p, *p.others) if q.drivers)
         for rank, p in pictures.items()

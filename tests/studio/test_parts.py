@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import RtecError
 from rtec.report import thinning
+from rtec.report.evidence import Curve, Evidence
 from rtec.studio.parts import figures
 from rtec.studio.parts.controls import from_home, number
 from rtec.tasks.model import SeriesView
@@ -122,6 +123,16 @@ def test_a_noise_that_is_not_known_yet_is_not_drawn() -> None:
         unknown = made(replace(many, floor=float("nan")))
         assert unknown["layout"]["shapes"] == []
         json.dumps(unknown, allow_nan=False)
+
+
+def test_curves_of_two_directions_differ_without_their_colours() -> None:
+    """Oracle: WCAG 1.4.1, colour is not the only difference: the dash and the marker are others, as in the report."""
+    place = np.arange(3.0)
+    curves = tuple(Curve(way, None, place, way * place, place, way * place) for way in (1, -1))
+    made = figures.evidence_figure(Evidence("m", "µm", "X, mm", curves, (place, place)))
+    lines = [t["line"]["dash"] for t in made["data"] if t["mode"] == "lines"]
+    markers = [t["marker"]["symbol"] for t in made["data"] if t["name"].startswith("residual, mean")]
+    assert (lines, markers) == (["solid", "dash"], ["triangle-up", "triangle-down"])
 
 
 @pytest.mark.parametrize("theme", ["body {", "body.body--dark {"])

@@ -323,7 +323,7 @@ def evidence_figure(e: "Evidence", title: str = "") -> Figure:
                 "name": text(f"fitted effect{way}{held}"),
                 "x": numbers(c.place),
                 "y": numbers(c.part),
-                "line": {"color": tint, "width": 4},
+                "line": {"color": tint, "width": 4, "dash": "dash" if c.direction < 0 else "solid"},
             }
         )
     heading = {"text": text(title), "x": 0, "xanchor": "left", "font": {"size": 16}} if title else None
