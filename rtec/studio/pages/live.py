@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from nicegui import ui
 
-from rtec.control.facts import AXIS_COLUMNS, axis_rows, footer, input_rows, state_word, troubles, um_text
+from rtec.control.facts import (
+    AXIS_COLUMNS,
+    axis_rows,
+    footer,
+    input_rows,
+    state_word,
+    troubles,
+    um_text,
+    waits_for_resume,
+)
 from rtec.errors import RtecError
 from rtec.studio.parts.controls import Area, Words, button, from_home, heading, table
 from rtec.studio.parts.session import TabSession
@@ -23,7 +32,9 @@ ORDERS: Final = {
     "enable": ("Enable", "Let the correction follow the model, from its present value, within its limits?"),
     "hold": ("Hold", "Hold the correction at its present value? It is no emergency stop."),
     "fade": ("Fade", "Fade the correction to zero at its slew limit?"),
-}
+    "resume": ("Resume", "Let the devices go on from where they are? Do first what the reason asks for, such as the "
+                         "check of a known position."),
+}  # fmt: skip
 BARS: Final = (("requested", "requested_um"), ("applied", "applied_um"))
 DASHES: Final = ("solid", "dash", "dot")
 """Of each four lines: colours alone are hard to distinguish."""
@@ -77,6 +88,7 @@ class _LivePage:
         self._sparks: list[_Spark] = []
         self._tracks: dict[tuple[str, str], tuple[ui.element, Words]] = {}
         self._axes: tuple[str, ...] = ()
+        self._resume: ui.button | None = None
         self._limits: dict[str, tuple[float, float]] = {}
 
     def build(self) -> None:
@@ -88,8 +100,12 @@ class _LivePage:
         self._lead = Words("p", "", "small")
         if link.role == "operate":
             with ui.element("div").classes("row"):
-                for name, (text, question) in ORDERS.items():
-                    button(text, partial(self._ask, name, text, question), main=name == "hold")
+                made = {
+                    name: button(text, partial(self._ask, name, text, question), main=name in ("hold", "resume"))
+                    for name, (text, question) in ORDERS.items()
+                }
+                self._resume = made["resume"]
+                self._resume.set_visibility(False)
                 self._mark = ui.input("Text beside the log", placeholder="new tool").props("outlined dense")
                 button("Mark", self._set_mark)
         else:
@@ -117,17 +133,23 @@ class _LivePage:
         self._why.set_text(clean_lines(why))
         self._state.classes(add=kind, remove=" ".join({"on", "held", "off"} - {kind}))
         if found is None:
+            self._offer_resume(False)
             self._lead.set_text("It is asked again every second.")
             return
         self._lead.set_text(f"{found['machine']}, model {found['model']}, {from_home(found['config'])}")
         if tuple(found["status"]["applied_um"]) != self._axes:
             self._session.on_change()  # first answer, or another machine's daemon
             return
+        self._offer_resume(waits_for_resume(found["status"]))
         self._move_bars(found)
         self._count += 1
         if self._count % EVERY == 1:
             self._tables.redo()
             self._append()
+
+    def _offer_resume(self, offered: bool) -> None:
+        if self._resume is not None:
+            self._resume.set_visibility(offered)
 
     def _make_bars(self) -> None:
         found = self._link.status
