@@ -96,12 +96,14 @@ class CompareView:
         series: every reading column.
         outliers: excluded readings.
         facts: as `rtec compare --json` prints them.
+        tiles: large numbers of each reading column, with their meanings.
     """
 
     page: "Page"
     series: tuple[SeriesView, ...]
     outliers: tuple[OutlierView, ...]
     facts: Mapping[str, Any]
+    tiles: tuple[tuple[tuple[str, str], ...], ...]
 
 
 @dataclass(frozen=True)
@@ -202,13 +204,16 @@ def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) 
 
 
 def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
+    from rtec.report.compare import numbers_of
+
     wrong = [
         OutlierView(w.measurement, w.column, w.row + 1, w.run, w.off, w.unit, _channels_at(c, w))
         for w in c.judged.given.wrong
     ]
     items = zip(c.traces.readings.series, c.items, strict=True)
     series = tuple(_series(c.traces, s, item.floor) for s, item in items)
-    return CompareView(_page(c, files), series, tuple(wrong), c.to_dict())
+    numbers = tuple(tuple(numbers_of(item)) for item in c.items)
+    return CompareView(_page(c, files), series, tuple(wrong), c.to_dict(), numbers)
 
 
 def _channels_at(c: "Comparison", w: "WrongReading") -> dict[str, float]:
@@ -258,6 +263,7 @@ def _series(traces: "Traces", s: "Series", floor: float) -> SeriesView:
 
 
 TIME = "time since the first reading, h"
+DIRECTION = "direction of motion"
 
 
 def _channels(
@@ -285,7 +291,7 @@ def _channels(
         titled(n): np.asarray(v)[s.row] for n, v in state.channels.items() if n not in own and float(np.ptp(v)) > 0.0
     }
     if direction.any():
-        out["direction of motion"] = direction
+        out[DIRECTION] = direction
     out["run"] = np.asarray(s.run, dtype=np.float64) + 1.0
     return out, tuple(titled(n, "degC") for n in warm), direction
 

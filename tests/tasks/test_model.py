@@ -36,6 +36,7 @@ def test_a_view_of_a_comparison_is_the_comparison(folder: Path) -> None:
     known = rtec.compare(model, [file])
     assert view.facts == known.to_dict()
     (series,) = view.series
+    assert view.tiles == (tuple(known.page(figures=False).numbers),)
     assert np.array_equal(series.residuals, known.traces.left)
     assert series.floor == known.items[0].floor
     assert len(view.outliers) > 0

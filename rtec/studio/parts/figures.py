@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.thinning import MOST, by_place, cells_of, drawn, line_ends
+from rtec.report.thinning import MOST, by_place, cells_of, drawn, is_position, line_ends
 from rtec.text import clean
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def residual_over(
             some = rows[mask[rows]]
             traces.append(_points(s, some, x, y, f"{what}{name}", color=tint, symbol=symbol))
     if what != "residual":
-        traces += _predicted(s, x)
+        traces += _predicted(s, x) if is_position(over) else _each_predicted(s, x, rows)
     elif there := [o for o in wrong if over in o.channels]:
         traces.append({
             "type": "scatter", "mode": "markers", "name": "wrong, excluded", "y": [o.off for o in there],
@@ -188,6 +188,26 @@ def _predicted(s: "SeriesView", x: Floats) -> list[Figure]:
                 "x": numbers(at),
                 "y": numbers(mean),
                 "line": line,
+                "hoverinfo": "skip",
+            }
+        )
+    return out
+
+
+def _each_predicted(s: "SeriesView", x: Floats, rows: Ints) -> list[Figure]:
+    """The prediction of each reading: over a temperature or the time, readings of different places are no line."""
+    out: list[Figure] = []
+    for name, mask, tint, symbol in ways(s.direction):
+        some = rows[mask[rows]]
+        marker = {"color": tint if name else "@ink", "symbol": f"{symbol}-open", "size": SMALL + 1}
+        out.append(
+            {
+                "type": kind(len(s)),
+                "mode": "markers",
+                "name": f"predicted{name}",
+                "x": numbers(x[some]),
+                "y": numbers(s.predicted[some]),
+                "marker": marker,
                 "hoverinfo": "skip",
             }
         )
