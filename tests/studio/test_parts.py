@@ -140,6 +140,15 @@ def test_a_prediction_is_a_line_over_a_position_alone() -> None:
     assert drawn == set(zip(figures.numbers(s.channels["T_bed, °C"]), figures.numbers(s.predicted), strict=True))
 
 
+def test_the_legend_of_the_time_plot_takes_none_of_its_width() -> None:
+    """On a narrow screen it had more of it than the readings. Oracle: where Plotly puts a legend."""
+    many = replace(_many(40), channels={"time since the first reading, h": np.arange(40.0), "T_bed, °C": np.ones(40)})
+    legend = figures.over_time(replace(many, sensors=("T_bed, °C",)), np.arange(40))["layout"]["legend"]
+    assert legend["orientation"] == "h"
+    assert (legend["x"], legend["yanchor"]) == (0, "top")
+    assert legend["y"] < 0.0
+
+
 def test_each_choice_of_a_colour_is_there_once() -> None:
     """The direction of motion is the first, whether or not the readings have it as a channel."""
     s = replace(_many(9), channels={"X, mm": np.arange(9.0), DIRECTION: np.ones(9)})

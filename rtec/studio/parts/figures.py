@@ -238,7 +238,7 @@ def over_time(s: "SeriesView", rows: Ints) -> Figure:
         xaxis=axis(title, anchor="y2" if both else "y"),
         yaxis=axis(f"residual, {s.unit}", domain=[0.52, 1.0] if both else [0.0, 1.0]),
         shapes=_band(s.floor),
-        legend={"orientation": "v", "x": 1.01, "y": 0.42, "yanchor": "top", "font": {"size": 13}},
+        legend={"orientation": "h", "x": 0, "y": -0.14, "yanchor": "top", "font": {"size": 13}},
     )
     if both:
         whole["yaxis2"] = axis("temperature, °C", domain=[0.0, 0.42])
