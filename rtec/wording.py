@@ -9,6 +9,8 @@ from collections.abc import Sequence
 NONE = "–"
 POSITIONS_NOT_KNOWN = "the positions of the axes are not known"
 """In the reason of the loop, by which others know it."""
+TO_RESUME = "`rtec ctl resume`"
+"""In every reason of the loop or of a device that waits for this order, by which others know it."""
 ERROR_UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 """Units of errors as people read them; errors of several instruments together are multiples of their noise."""
 LEAST_SHARE = 0.0005

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from rtec.text import joined
-from rtec.wording import ERROR_UNITS, POSITIONS_NOT_KNOWN
+from rtec.wording import ERROR_UNITS, POSITIONS_NOT_KNOWN, TO_RESUME
 
 STALLED_S: Final = 1.0
 """Largest age, s, of the newest row of a loop that runs."""
@@ -33,6 +33,11 @@ def well(report: Mapping[str, Any]) -> bool:
 def positions_unknown(status: Mapping[str, Any]) -> bool:
     """Does a device say that nobody knows where the axes stand?"""
     return any(POSITIONS_NOT_KNOWN in text for texts in status["devices"].values() for text in texts)
+
+
+def waits_for_resume(status: Mapping[str, Any]) -> bool:
+    """Does the loop, or a device, wait for the order to resume?"""
+    return any(TO_RESUME in text for texts in status["devices"].values() for text in texts)
 
 
 AXIS_COLUMNS: Final = ("axis", "position, mm", "requested, µm", "applied, µm", "residual, µm", "output, units")

@@ -233,13 +233,14 @@ class Picture:
     Attributes:
         label: of the effect, or the variables of an unknown.
         unit: "um" or "urad".
-        residual: of the current model, refitted without the effect, (n,).
+        residual: of the current model, and of the effects that the title names as subtracted, refitted with it, (n,).
         part: contribution of the effect to it, (n,).
         drivers: channel, its unit and values (n,); the first is the horizontal axis.
         period_mm: of a wave along the first; None for anything else.
         direction: last direction of the first driver where it is a position, (n,); None otherwise.
         time_s, run: of each reading, (n,).
         title: the label and the measurement, with its column where it has several.
+        place: the measurement, with its column where it has several.
         others: pictures of the other reading columns that the finding moves most, strongest first.
         circle: for a ball bar.
     """
@@ -253,6 +254,7 @@ class Picture:
     time_s: Floats
     run: NDArray[np.int64]
     title: str = ""
+    place: str = ""
     others: "tuple[Picture, ...]" = ()
     period_mm: float | None = None
     circle: OnCircle | None = None
@@ -363,6 +365,11 @@ class Diagnosis(Result):
         if not self.group:
             return 0.0
         return max([self.findings[0].heldout_drop, *(m.heldout_drop for m in self.together)])
+
+    @property
+    def shows_rank_1(self) -> bool:
+        """Whether `picture` is of rank 1, not of what has no name."""
+        return self.picture is not None and bool(self.group) and (self.unknown is None or bool(self.together))
 
     @property
     def group(self) -> tuple[Finding, ...]:

@@ -613,6 +613,11 @@ def notes(names: Sequence[str], warm: bool) -> tuple[str, ...]:
     return tuple(out)
 
 
+def less(names: Sequence[str]) -> str:
+    """What was subtracted from a residual that is drawn, as an addition to a title; empty where nothing was."""
+    return f" less {listed(names)}" if names else ""
+
+
 def labels(effects: Sequence[Finding | FittedEffect]) -> list[str]:
     """Short names that all differ: equal names get the arguments in which they differ."""
     return [_distinct(f, [g for g in effects if g.label == f.label]) for f in effects]

@@ -13,6 +13,7 @@ import numpy as np
 from rtec.errors import DriverError, DriverFault
 from rtec.loop.ports import FloatArray, IntArray, TemperatureSource
 from rtec.machine import Machine
+from rtec.wording import TO_RESUME
 
 STEP_DEGC: Final = 2.0
 """Largest change, °C, from one reading to the next, however soon: coarse steps and noise are far below."""
@@ -92,7 +93,7 @@ class BelievedTemperatures:
             self._jumped.setdefault(
                 sensor.name,
                 f"{sensor.name}: jumped from {last:.2f} to {value:.2f} °C within {gone_s:.2g} s, as no part of a "
-                "machine can: not used until it is back; look at its plug and cable; if it is right: `rtec ctl resume`",
+                f"machine can: not used until it is back; look at its plug and cable; if it is right: {TO_RESUME}",
             )
             return False
         self._jumped.pop(sensor.name, None)

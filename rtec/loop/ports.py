@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.sinks import Sink
+from rtec.wording import TO_RESUME
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
-HOLDS: Final = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
+HOLDS: Final = f"the correction holds until it is ordered to resume ({TO_RESUME})"
 """What a device adds to the reason why it waits, as `Resumable.must_resume` gives it."""
 
 

@@ -84,16 +84,40 @@ def component_words(component: str, machine: Machine) -> str:
     return f"roll of {of}" if along == axis.direction else f"tilt of {of} about {along}"
 
 
+BOTH: tuple[Side, Side] = ("tool", "work")
 THIN, ROOM = 0.3, 0.65
 """Smallest extent of the room as a share of its largest; half of its width over that of the machine."""
+
+
+def tool_at_work(machine: Machine, positions_mm: Floats) -> Floats:
+    """Nominal places of the tool tip relative to the workpiece, mm, (n, 3).
+
+    Args:
+        machine: the machine.
+        positions_mm: positions of its axes, (n, axes).
+    """
+
+    def place(position: Floats) -> Floats:
+        pose = dict(zip((a.name for a in machine.axes), position.tolist(), strict=True))
+        tool, work = (link_places(machine, {}, pose, side).place_mm[-1] for side in BOTH)
+        return np.asarray(tool - work)
+
+    n = len(machine.axes)
+    zero = place(np.zeros(n))  # each axis moves along a straight line
+    steps = np.array([place(unit) - zero for unit in np.eye(n)]).reshape(n, 3)
+    return np.asarray(zero + positions_mm @ steps)
 
 
 def room_mm(machine: Machine) -> Floats:
     """Lowest and highest coordinate, (3, 2), of a room in which the machine moves: the same at every pose."""
     ends = [{a.name: a.travel_mm[end] for a in machine.axes} for end in (0, 1)]
-    sides: tuple[Side, ...] = ("tool", "work")
-    places = np.concatenate([link_places(machine, {}, pose, side).place_mm for pose in ends for side in sides])
-    low, high = places.min(axis=0), places.max(axis=0)
+    places = np.concatenate([link_places(machine, {}, pose, side).place_mm for pose in ends for side in BOTH])
+    return room_around(places)
+
+
+def room_around(place_mm: Floats) -> Floats:
+    """Lowest and highest coordinate, (3, 2), of a room with space around some places, (n, 3)."""
+    low, high = place_mm.min(axis=0), place_mm.max(axis=0)
     size = np.maximum(high - low, THIN * float((high - low).max()))
     middle = 0.5 * (low + high)
     return np.stack([middle - ROOM * size, middle + ROOM * size], axis=1)

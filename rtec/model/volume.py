@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ModelError
+from rtec.machine.links import tool_at_work
 from rtec.model.at import state_at
 from rtec.model.model import Model
 
@@ -22,7 +23,7 @@ class TipErrors:
     """Errors at evenly spaced places of the travels.
 
     Attributes:
-        place_mm: nominal places of the tool tip in machine coordinates, (n, 3).
+        place_mm: nominal places of the tool tip relative to the workpiece, (n, 3): where it is commanded to be.
         error_um: actual minus nominal place, (n, 3).
     """
 
@@ -50,8 +51,7 @@ def tip_errors(model: Model, state: Mapping[str, float], places: int = PLACES) -
     grid = np.array(list(product(*(np.linspace(*a.travel_mm, places) for a in machine.axes))))
     at = {k: np.full(len(grid), v) for k, v in state.items()}
     at |= {a.name: grid[:, i] for i, a in enumerate(machine.axes)}
-    affine = np.concatenate([np.ones((len(grid), 1)), grid], axis=1)
-    return TipErrors(np.einsum("ij,nj->ni", machine.chain.tip, affine), model.predict(at))
+    return TipErrors(tool_at_work(machine, grid), model.predict(at))
 
 
 def component_errors(model: Model, state: Mapping[str, float]) -> dict[str, float]:

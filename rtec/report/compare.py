@@ -141,7 +141,11 @@ def _name(item: Compared, c: Comparison) -> str:
 
 
 def _numbers(c: Comparison) -> list[tuple[str, str]]:
-    first = min(c.items, key=_badness)
+    return numbers_of(min(c.items, key=_badness))
+
+
+def numbers_of(first: Compared) -> list[tuple[str, str]]:
+    """The large numbers of one reading column, each with its meaning."""
     named = zip(
         ("measured", "residual", "noise floor"), sizes(first.measured.rms, first.left.rms, first.floor), strict=True
     )

@@ -16,6 +16,7 @@ from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.report.ball_bar_figures import MIDDLE, ROOM, CircleTrace, around, arrow, frame
 from rtec.report.figures import GREY, LINES, OFF, ON, WHOLE, WIDTH_IN, Png, Zoom, as_png, canvas, stacked, zoomed
+from rtec.report.thinning import is_position
 from rtec.wording import significant
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def over_channel(
         direction: -1, 0 or +1, (n,).
         floor: noise, root mean square; NaN where it is unknown.
         shade: title and values, (n,), of the channel for the colours; None: by direction.
-        predicted: predictions, (n,), which are drawn as lines; None: without.
+        predicted: predictions, (n,): a line over a position, else a mark for each reading; None: without.
         marked: rows of readings that stand out, (k,); None: none.
         zoom: the visible part.
     """
@@ -132,10 +133,15 @@ def over_channel(
             ax.plot(value[some], residual[some], color=colour, marker=marker, linestyle="", markersize=6,
                     alpha=0.7 * pale, label=f"{what}{name}")  # fmt: skip
     if predicted is not None:
-        for name, mask, colour, _, line in _ways(direction):
+        for name, mask, colour, marker, line in _ways(direction):
             known = mask & np.isfinite(value)
-            at, mean, _ = _by_place(value[known], predicted[known])
-            ax.plot(at, mean, color=colour, linestyle=line, label=f"predicted{name}")
+            if is_position(below):
+                at, mean, _ = _by_place(value[known], predicted[known])
+                ax.plot(at, mean, color=colour, linestyle=line, label=f"predicted{name}")
+                continue
+            some = thin[known[thin]]
+            ax.plot(value[some], predicted[some], color=colour, marker=marker, linestyle="", markersize=6,
+                    markerfacecolor="none", label=f"predicted{name}")  # fmt: skip
     _mark(ax, value, residual, marked)
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_title(title)

@@ -16,7 +16,7 @@ class Moment:
     """One point of a daemon's past.
 
     Attributes:
-        time_s: time since the daemon's first row.
+        time_s: time since the first row of the daemon, or of the first of its runs.
         applied_um: applied correction by axis; None where it is not known.
         degc: temperatures, °C, by sensor; None where it is not read.
     """
@@ -24,6 +24,21 @@ class Moment:
     time_s: float
     applied_um: Mapping[str, float | None]
     degc: Mapping[str, float | None]
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether it has no values: it separates two runs."""
+        return not self.applied_um
+
+
+def since(runs: int) -> str:
+    """The beginning of the time, for the title of an axis; `runs`: how many runs of the daemon were seen."""
+    return "since the daemon began" if runs < 2 else f"since the first of {runs} runs began"
+
+
+def named(kept: Sequence[Moment], *, temperatures: bool) -> list[str]:
+    """Names of all axes, or of all temperatures, in order: another run may have others."""
+    return list(dict.fromkeys(n for m in kept for n in (m.degc if temperatures else m.applied_um)))
 
 
 @dataclass(frozen=True)
@@ -35,6 +50,7 @@ class DaemonMoment:
         status: the answer of the daemon (`docs/control.md`).
         limits_um: by axis: correction above which it is flagged, and above which it is not followed.
         minutes, hours: the last ten minutes and the last day.
+        runs: how many runs of the daemon were seen.
     """
 
     utc: str
@@ -42,6 +58,7 @@ class DaemonMoment:
     limits_um: Mapping[str, tuple[float, float]]
     minutes: Sequence[Moment]
     hours: Sequence[Moment]
+    runs: int = 1
 
 
 def daemon_lead(m: DaemonMoment) -> str:
@@ -67,8 +84,8 @@ def daemon_sections(m: DaemonMoment, figures: bool = True, zooms: Mapping[str, Z
     out.append(Section("Correction of each axis", footer(found), Table(AXIS_COLUMNS, axis_rows(found)),
                        _bars(m) if figures else None))  # fmt: skip
     if figures:
-        out += [*_past("last 10 minutes", m.minutes, MINUTE_S, "minutes", zooms or {}),
-                *_past("last 24 hours", m.hours, HOUR_S, "hours", zooms or {})]  # fmt: skip
+        out += [*_past("last 10 minutes", m.minutes, MINUTE_S, f"minutes {since(m.runs)}", zooms or {}),
+                *_past("last 24 hours", m.hours, HOUR_S, f"hours {since(m.runs)}", zooms or {})]  # fmt: skip
     rows = input_rows(found) if found["status"]["cycles"] else []
     out.append(Section("Inputs and their ages", [], Table(("input", "value", "age"), rows)))
     events = [[e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]] for e in reversed(found["events"])]
@@ -93,23 +110,17 @@ def _bars(m: DaemonMoment) -> Figure:
     return Figure("axes.png", axis_bars(rows), "requested, applied and residual correction of each axis in its limits")
 
 
-def _past(what: str, kept: Sequence[Moment], unit_s: float, unit: str, zooms: Mapping[str, Zoom]) -> list[Section]:
+def _past(what: str, kept: Sequence[Moment], unit_s: float, below: str, zooms: Mapping[str, Zoom]) -> list[Section]:
     from rtec.report.daemon_figures import past
 
     if len(kept) < 2:
         return []
-    corrections, degc = ({n: [of(m).get(n) for m in kept] for n in of(kept[-1])} for of in (_applied, _temperatures))
+    corrections = {n: [m.applied_um.get(n) for m in kept] for n in named(kept, temperatures=False)}
+    degc = {n: [m.degc.get(n) for m in kept] for n in named(kept, temperatures=True)}
+    unit = below.partition(" ")[0]
     both = [zooms.get(f"live {unit} {of}", {}) for of in ("applied", "degc")]
-    png = past([m.time_s / unit_s for m in kept], unit, corrections, degc, both)
+    png = past([m.time_s / unit_s for m in kept], below, corrections, degc, both)
     names = ("Applied correction", "Temperatures")
     words = [f"{name}: {zoom_words(zoom)}" for name, zoom in zip(names, both, strict=True) if zoom]
     return [Section(f"Applied correction and temperatures, {what}", words, None,
                     Figure(f"{unit}.png", png, f"applied correction and temperatures over the {what}"))]  # fmt: skip
-
-
-def _applied(m: Moment) -> Mapping[str, float | None]:
-    return m.applied_um
-
-
-def _temperatures(m: Moment) -> Mapping[str, float | None]:
-    return m.degc

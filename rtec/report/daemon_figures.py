@@ -64,7 +64,7 @@ def _signed(value: float | None, *, sign: bool) -> str:
 @as_png
 def past(
     time: Sequence[float],
-    unit: str,
+    below: str,
     applied_um: Mapping[str, Sequence[float | None]],
     degc: Mapping[str, Sequence[float | None]],
     zooms: Sequence[Zoom] = (),
@@ -72,8 +72,8 @@ def past(
     """Applied corrections over time, with the temperatures below.
 
     Args:
-        time: time since the daemon began, (n,).
-        unit: its unit.
+        time: times, (n,).
+        below: title of their axis.
         applied_um: of each axis, (n,) each; None where it is not known.
         degc: °C of each sensor, (n,) each; None where it is not read.
         zooms: the visible part of either.
@@ -86,7 +86,7 @@ def past(
             ax.plot(time, shown, color=LINES[(1 + k) % len(LINES)], linestyle=DASHES[k // 4 % 3], label=name)
         ax.set_ylabel(what)
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
-    axes[-1].set_xlabel(f"{unit} since the daemon began")
+    axes[-1].set_xlabel(below)
     for ax, zoom in zip(axes, zooms, strict=False):
         zoomed(ax, zoom)
     return figure

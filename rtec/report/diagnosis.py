@@ -411,7 +411,7 @@ def on_its_circle(p: Picture, circle: OnCircle) -> Section:
     names = ("residual before", "fitted effect", "residual after")
     png = polar_pair(p.title, circle.letters, trace, names)
     shows = "Residual and fitted effect drawn outwards from the circle; beside it what is then the residual."
-    file = name_of_file(p.title.rpartition(", in ")[2])
+    file = name_of_file(p.place)
     return Section(f"On the circle: {p.title}", [], None, Figure(f"polar-{file}.png", png, shows))
 
 

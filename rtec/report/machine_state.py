@@ -129,7 +129,7 @@ def _figures(s: MachineState, errors: Mapping[str, float]) -> tuple[Figure, Figu
     machine, components = s.model.machine, component_errors(s.switched, s.state)
     sides = {side: link_places(machine, components, s.pose_mm, side) for side in SIDES}
     chain = drawn.links(machine, sides, s.magnified, s.machine_from)
-    over = drawn.volume(machine, tip_errors(s.switched, s.state), s.magnified, s.travel_from)
+    over = drawn.volume(tip_errors(s.switched, s.state), s.magnified, s.travel_from)
     bars = None
     if errors:
         names = {c: f"{c}\n{component_words(c, machine)}" for c in errors}
@@ -137,6 +137,8 @@ def _figures(s: MachineState, errors: Mapping[str, float]) -> tuple[Figure, Figu
         bars = Figure("components.png", made, "component errors as bars")
     return (
         Figure("machine.png", chain, "the machine's links, nominal and moved by their errors"),
-        Figure("volume.png", over, "nominal places of the tool tip over the travels, and where it is"),
+        Figure(
+            "volume.png", over, "places of the tool tip relative to the workpiece over the travels, nominal and actual"
+        ),
         bars,
     )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.machine import Machine
-from rtec.machine.links import LinkPlaces, Side, room_mm
+from rtec.machine.links import LinkPlaces, Side, room_around, room_mm
 from rtec.model.volume import TipErrors
 from rtec.report.figures import GREY, OFF, ON, as_png, canvas
 
@@ -35,7 +35,7 @@ class Camera:
         up: direction that is upwards in the picture.
     """
 
-    eye: tuple[float, float, float] = (0.98, -1.49, 0.6)
+    eye: tuple[float, float, float] = (1.47, -2.23, 0.9)
     centre: tuple[float, float, float] = (0.0, 0.0, -0.1)
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
@@ -50,7 +50,7 @@ def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, 
         magnified: factor by which errors are drawn larger.
         camera: from where it is seen.
     """
-    figure, ax = _room(machine, camera)
+    figure, ax = _room(room_mm(machine), camera)
     for side, n in sides.items():
         colour, marker = LOOKS[side]
         ax.plot(*n.place_mm.T, color=GREY, linewidth=1.8, label="nominal" if side == "tool" else None)
@@ -63,19 +63,18 @@ def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, 
 
 
 @as_png
-def volume(machine: Machine, errors: TipErrors, magnified: float, camera: Camera) -> "MplFigure":
-    """Nominal places of the tool tip, each joined with where it is.
+def volume(errors: TipErrors, magnified: float, camera: Camera) -> "MplFigure":
+    """Nominal places of the tool tip relative to the workpiece, each joined with where it is.
 
     Args:
-        machine: the machine.
         errors: at each place.
         magnified: factor by which errors are drawn larger.
         camera: from where it is seen.
     """
     from matplotlib.colors import LinearSegmentedColormap
 
-    figure, ax = _room(machine, camera)
     real = errors.place_mm + 1e-3 * magnified * errors.error_um
+    figure, ax = _room(room_around(np.concatenate([errors.place_mm, real])), camera)
     for nominal, at in zip(errors.place_mm, real, strict=True):
         ax.plot(*np.stack([nominal, at]).T, color=GREY, linewidth=1.2)
     scale = LinearSegmentedColormap.from_list("errors", SCALE)
@@ -132,13 +131,12 @@ def projection(room_mm: Floats, camera: Camera) -> Floats:
     return np.stack([across, up, np.array([0.0, 0.0, 0.0, -1.0]), distance])
 
 
-def _room(machine: Machine, camera: Camera) -> "tuple[MplFigure, Any]":
-    """A room in which the machine moves, with the same scale along all axes, seen by a camera."""
+def _room(room: Floats, camera: Camera) -> "tuple[MplFigure, Any]":
+    """A room, (3, 2), with the same scale along all axes, seen by a camera."""
     from matplotlib.ticker import MaxNLocator
 
     figure = canvas(HIGH_IN)
     ax: Any = figure.add_subplot(projection="3d")
-    room = room_mm(machine)
     for k, axis in enumerate("xyz"):
         getattr(ax, f"set_{axis}lim")(*room[k])
         getattr(ax, f"set_{axis}label")(f"{axis.upper()}, mm", labelpad=10)

@@ -53,6 +53,11 @@ def _part_of(values: Floats, parts: int) -> Ints:
     return np.minimum(((values - low) * (parts / wide)).astype(np.int64), parts - 1)
 
 
+def is_position(title: str) -> bool:
+    """Whether a channel is a position, by its title: over another one the prediction at different places is no line."""
+    return title.endswith(", mm")
+
+
 def by_place(x: Floats, y: Floats, most: int = 120) -> tuple[Floats, Floats]:
     """Mean at each place, or in intervals where there are many places, (k,) each."""
     good = np.isfinite(x) & np.isfinite(y)

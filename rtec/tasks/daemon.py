@@ -6,14 +6,15 @@ sparklines.
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from rtec.control.client import Client, Outcome, carry_out, find
 from rtec.control.messages import Role
 from rtec.errors import RtecError
-from rtec.loop.clock import RealClock, wall_clock_iso
+from rtec.loop.clock import Clock, RealClock, wall_clock_iso
 from rtec.loop.orders import order_named
 from rtec.report.daemon import DaemonMoment, Moment
 
@@ -22,6 +23,8 @@ NAME: Final = "studio"
 SECOND, MINUTE = 1.0, 60.0
 MINUTES, HOURS = 600, 1440
 """Number of stored points, one a second and one a minute."""
+EARLIER: Final = 50
+"""Largest number of events of earlier runs that are stored."""
 
 
 def limits_of(config: Path) -> dict[str, tuple[float, float]]:
@@ -38,6 +41,16 @@ def limits_of(config: Path) -> dict[str, tuple[float, float]]:
     return {axis: (each.warning_um, each.stop_um) for axis, each in limits.items()}
 
 
+@dataclass(frozen=True)
+class _Heard:
+    """The newest answer: the process, the time of its newest row, s, when it came, ns, and its events."""
+
+    pid: int
+    time_s: float
+    at_ns: int
+    events: Sequence[Mapping[str, Any]]
+
+
 class LiveLink:
     """The connection to a daemon.
 
@@ -45,14 +58,16 @@ class LiveLink:
         config: its run file; `role` has the rights of the pages.
         status: its newest answer; None before the first, or while it does not answer (`trouble` has the reason).
         limits_um: by axis: correction above which it is flagged, and above which it is not followed.
-        minutes, hours: points of the sparklines.
+        minutes, hours: points of the sparklines; a point without values separates the runs of the daemon.
+        runs: number of the runs of the daemon that were seen.
 
     Args:
         config: see above.
         role: see above.
+        clock: tells how long the daemon did not run.
     """
 
-    def __init__(self, config: Path, role: Role) -> None:
+    def __init__(self, config: Path, role: Role, clock: Clock | None = None) -> None:
         self.config, self.role = config, role
         self.status: dict[str, Any] | None = None
         self.trouble = "not asked yet"
@@ -62,12 +77,24 @@ class LiveLink:
         self.hours: deque[Moment] = deque(maxlen=HOURS)
         self._looking: dict[int, Callable[[], None]] = {}
         self._client: Client | None = None
+        self._clock: Clock = clock or RealClock()
+        self.runs = 0
+        self._heard: _Heard | None = None
+        self._begins = True  # a run of which no point is stored yet
+        self._began_s = 0.0  # first row of this run, on the time of the sparklines
+        self._earlier: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def events(self) -> list[Mapping[str, Any]]:
+        """Events of the daemon, oldest first, with those of its earlier runs."""
+        return [*self._earlier, *(self._heard.events if self._heard is not None else ())]
 
     def moment(self) -> DaemonMoment | None:
         """The daemon as it is now, for a report; None while it does not answer."""
         if self.status is None:
             return None
-        return DaemonMoment(wall_clock_iso(), self.status, self.limits_um, tuple(self.minutes), tuple(self.hours))
+        status = {**self.status, "events": self.events}
+        return DaemonMoment(wall_clock_iso(), status, self.limits_um, tuple(self.minutes), tuple(self.hours), self.runs)
 
     def look(self, key: int, changed: Callable[[], None]) -> None:
         """Register a callback that is called after each new status."""
@@ -82,7 +109,7 @@ class LiveLink:
         while True:
             try:
                 self.status, self.trouble = await asyncio.to_thread(self._ask), ""
-                self._note(self.status)
+                self.note(self.status)
             except RtecError as e:
                 self.status, self.trouble = None, str(e)
                 self._hang_up()
@@ -131,13 +158,24 @@ class LiveLink:
             self._client.close()
             self._client = None
 
-    def _note(self, found: dict[str, Any]) -> None:
-        s = found["status"]
+    def note(self, found: Mapping[str, Any]) -> None:
+        """Store what an answer of the daemon tells of its past; the time of a restarted daemon goes on behind a gap."""
+        s, last = found["status"], self._heard
+        time_s, now_ns = (s["time_s"] if s["cycles"] else 0.0), self._clock.now_ns()
+        restarted = last is not None and (found["pid"] != last.pid or time_s < last.time_s)
+        if last is not None and restarted:
+            self._began_s += last.time_s + (now_ns - last.at_ns) * 1e-9 - time_s
+            self._begins = True
+            if found["pid"] != last.pid:
+                self._earlier = (*self._earlier, *last.events)[-EARLIER:]
+        self._heard = _Heard(found["pid"], time_s, now_ns, found["events"])
         if not s["cycles"]:
             return
-        now = Moment(s["time_s"], s["applied_um"], s["degc"])
+        begins, self.runs = self._begins, self.runs + self._begins
+        self._begins = False
+        now = Moment(self._began_s + time_s, s["applied_um"], s["degc"])
         for kept, every in ((self.minutes, SECOND), (self.hours, MINUTE)):
-            if kept and now.time_s < kept[-1].time_s:
-                kept.clear()  # the daemon was restarted
-            if not kept or now.time_s - kept[-1].time_s >= every:
+            if kept and begins:
+                kept.append(Moment(kept[-1].time_s, {}, {}))
+            if not kept or kept[-1].is_gap or now.time_s - kept[-1].time_s >= every:
                 kept.append(now)

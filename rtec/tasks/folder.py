@@ -49,6 +49,7 @@ class Listing:
         machines, models: TOML files.
         measurements: tables with a TOML beside them.
         foreign: tables of other programs.
+        unread: names of TOML files that cannot be read, with the reason.
         more: number of files that were not examined, because there are too many.
     """
 
@@ -56,6 +57,7 @@ class Listing:
     models: tuple[str, ...] = ()
     measurements: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
+    unread: tuple[tuple[str, str], ...] = ()
     more: int = 0
 
 
@@ -153,7 +155,13 @@ class Folder:
         except OSError as e:
             raise RtecError(f"{self.root}: cannot be read: {e.strerror}") from e
         names, more = found[:MOST_FILES], max(len(found) - MOST_FILES, 0)
-        kinds = {n: self._toml_kind(n) for n in names if n.lower().endswith(".toml")}
+        kinds, unread = dict[str, Kind | None](), list[tuple[str, str]]()
+        for n in names:
+            if n.lower().endswith(".toml"):
+                try:
+                    kinds[n] = self._toml_kind(n)
+                except RtecError as e:
+                    unread.append((n, str(e).replace(f"{self.root / n}", n)))
         described = {Path(n).stem for n, kind in kinds.items() if kind == "measurement"}
         tables = [n for n in names if Path(n).suffix in TABLES and Path(n).stem in described]
         foreign = [n for n in names if Path(n).suffix.lower() in FOREIGN and n not in tables]
@@ -162,6 +170,7 @@ class Folder:
             tuple(n for n, k in kinds.items() if k == "model"),
             tuple(tables),
             tuple(foreign),
+            tuple(unread),
             more,
         )
 
@@ -249,11 +258,16 @@ class Folder:
         return False
 
     def _toml_kind(self, name: str) -> Kind | None:
+        """Kind of a TOML file; None: a file of other programs.
+
+        Raises:
+            RtecError: it cannot be read.
+        """
         path = self.root / name
         try:
             data = read_toml(path) if path.stat().st_size < LARGEST_TOML else {}
-        except (OSError, RtecError):
-            return None
+        except OSError as e:
+            raise RtecError(f"{name}: cannot be read: {e.strerror}") from e
         if "measurement" in data and "instrument" in (
             data["measurement"] if isinstance(data["measurement"], dict) else {}
         ):

@@ -96,12 +96,14 @@ class CompareView:
         series: every reading column.
         outliers: excluded readings.
         facts: as `rtec compare --json` prints them.
+        tiles: large numbers of each reading column, with their meanings.
     """
 
     page: "Page"
     series: tuple[SeriesView, ...]
     outliers: tuple[OutlierView, ...]
     facts: Mapping[str, Any]
+    tiles: tuple[tuple[tuple[str, str], ...], ...]
 
 
 @dataclass(frozen=True)
@@ -202,13 +204,16 @@ def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) 
 
 
 def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
+    from rtec.report.compare import numbers_of
+
     wrong = [
         OutlierView(w.measurement, w.column, w.row + 1, w.run, w.off, w.unit, _channels_at(c, w))
         for w in c.judged.given.wrong
     ]
     items = zip(c.traces.readings.series, c.items, strict=True)
     series = tuple(_series(c.traces, s, item.floor) for s, item in items)
-    return CompareView(_page(c, files), series, tuple(wrong), c.to_dict())
+    numbers = tuple(tuple(numbers_of(item)) for item in c.items)
+    return CompareView(_page(c, files), series, tuple(wrong), c.to_dict(), numbers)
 
 
 def _channels_at(c: "Comparison", w: "WrongReading") -> dict[str, float]:
@@ -258,6 +263,7 @@ def _series(traces: "Traces", s: "Series", floor: float) -> SeriesView:
 
 
 TIME = "time since the first reading, h"
+DIRECTION = "direction of motion"
 
 
 def _channels(
@@ -285,7 +291,7 @@ def _channels(
         titled(n): np.asarray(v)[s.row] for n, v in state.channels.items() if n not in own and float(np.ptp(v)) > 0.0
     }
     if direction.any():
-        out["direction of motion"] = direction
+        out[DIRECTION] = direction
     out["run"] = np.asarray(s.run, dtype=np.float64) + 1.0
     return out, tuple(titled(n, "degC") for n in warm), direction
 
@@ -310,7 +316,8 @@ def _curves(d: "Diagnosis") -> dict[int, "tuple[Evidence, ...]"]:
     from rtec.diagnosis.search.picture import of_finding
     from rtec.report.evidence import evidence
 
-    pictures = {0: d.picture} | {f.rank: of_finding(d, f) for f in d.findings[:SHOWN]}
+    unnamed = {} if d.shows_rank_1 else {0: d.picture}
+    pictures = unnamed | {f.rank: of_finding(d, f) for f in d.findings[:SHOWN]}
     return {
         rank: tuple(evidence(q) for q in (p, *p.others) if q.drivers)
         for rank, p in pictures.items()
@@ -476,5 +483,7 @@ def preview(line: Reporter, model: "Model", request: EffectRequest, files: Seque
     read = load_measurements(files, model.machine)
     shown = previewed(model, read, request.expression, request.parameters, request.component)
     fall = f"removes {percent(shown.removed)}" if shown.removed > 0.0 else "removes nothing"
-    words = f"With these parameters it {fall} of the mean square of the residual of these readings."
+    words = f"With these parameters it {fall} of the mean square of the residual of all readings."
+    if shown.columns > 1:
+        words += f" The curve is drawn on {shown.picture.place}, where it explains most."
     return PreviewView(evidence(shown.picture), words)

@@ -1,6 +1,7 @@
 """Errors over the travels. Oracles: `Model.predict` place by place; a scale error worked out by hand."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,14 @@ def test_a_scale_error_makes_a_milled_cylinder_oval() -> None:
     assert not found.turned
     assert found.larger_um == pytest.approx(50.0 * 0.1)
     assert found.form_um == pytest.approx(50.0 * 0.1, rel=1e-3)
+
+
+def test_places_over_the_travels_are_those_that_are_commanded(machine: Machine) -> None:
+    """Also along axes that carry the work. Oracle: the commanded positions themselves, along each axis' direction."""
+    over = tip_errors(_scaled(machine, machine.axes[0].name, 50.0), {}, places=3)
+    grid = np.array(list(product(*(np.linspace(*a.travel_mm, 3) for a in machine.axes))))
+    along = np.array([np.eye(3)["XYZ".index(a.direction)] for a in machine.axes])
+    assert np.allclose(over.place_mm - over.place_mm[0], (grid - grid[0]) @ along)
 
 
 def test_without_effects_the_part_is_as_drawn(machine: Machine) -> None:

@@ -1,14 +1,18 @@
 """What a report of a model in one state has. Oracles: `Model.predict`, and the words of the effects."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rtec.effects import effect_class
 from rtec.machine import load_machine
+from rtec.machine.links import room_around, room_mm, tool_at_work
 from rtec.model import FittedEffect, Model
 from rtec.report.machine_state import MachineState, fed_errors, machine_state_sections, state_sentence
+from rtec.report.machine_state_figures import HALF_VIEW_RAD, Camera, projection
 
 MACHINES = Path(__file__).parents[2] / "configs" / "machines"
 
@@ -55,3 +59,14 @@ def test_without_an_effect_nothing_is_fed(state: MachineState) -> None:
     sections = machine_state_sections(off)
     assert fed_errors(off) == {}
     assert [s.figure.name for s in sections if s.figure is not None] == ["machine.png", "volume.png"]
+
+
+@pytest.mark.parametrize("name", ["turning-centre", "vertical-mill"])
+def test_the_whole_room_is_seen_at_first(name: str) -> None:
+    """With space for titles and numbers at its edges, also in a square. Oracle: the corners in the picture."""
+    machine = load_machine(MACHINES / f"{name}.toml")
+    poses = np.array(list(product(*(a.travel_mm for a in machine.axes))))
+    for room in (room_mm(machine), room_around(tool_at_work(machine, poses))):
+        corners = np.array([(*c, 1.0) for c in product(*room)]) @ projection(room, Camera()).T
+        seen = np.abs(corners[:, :2] / corners[:, 3:]) / np.tan(HALF_VIEW_RAD)
+        assert seen.max() < 0.75

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from rtec.errors import RtecError
 from rtec.report import thinning
+from rtec.report.evidence import Curve, Evidence
+from rtec.studio.pages.compare import colours
 from rtec.studio.parts import figures
 from rtec.studio.parts.controls import from_home, number
-from rtec.tasks.model import SeriesView
+from rtec.tasks.model import DIRECTION, SeriesView
 
 
 @pytest.mark.parametrize(
@@ -122,6 +124,45 @@ def test_a_noise_that_is_not_known_yet_is_not_drawn() -> None:
         unknown = made(replace(many, floor=float("nan")))
         assert unknown["layout"]["shapes"] == []
         json.dumps(unknown, allow_nan=False)
+
+
+def test_a_prediction_is_a_line_over_a_position_alone() -> None:
+    """Over a temperature readings of all places follow each other. Oracle: the prediction of each reading drawn."""
+    many = replace(_many(40), predicted=np.arange(40.0), direction=np.tile([1.0, -1.0], 20))
+    s = replace(many, channels={**many.channels, "T_bed, °C": np.sin(np.arange(40.0))})
+    along = figures.residual_over(s, "X, mm", what="measured")["data"]
+    assert [t["mode"] for t in along if t["name"].startswith("predicted")] == ["lines", "lines"]
+    over = [
+        t for t in figures.residual_over(s, "T_bed, °C", what="measured")["data"] if t["name"].startswith("predicted")
+    ]
+    assert {t["mode"] for t in over} == {"markers"}
+    drawn = {(x, y) for t in over for x, y in zip(t["x"], t["y"], strict=True)}
+    assert drawn == set(zip(figures.numbers(s.channels["T_bed, °C"]), figures.numbers(s.predicted), strict=True))
+
+
+def test_the_legend_of_the_time_plot_takes_none_of_its_width() -> None:
+    """On a narrow screen it had more of it than the readings. Oracle: where Plotly puts a legend."""
+    many = replace(_many(40), channels={"time since the first reading, h": np.arange(40.0), "T_bed, °C": np.ones(40)})
+    legend = figures.over_time(replace(many, sensors=("T_bed, °C",)), np.arange(40))["layout"]["legend"]
+    assert legend["orientation"] == "h"
+    assert (legend["x"], legend["yanchor"]) == (0, "top")
+    assert legend["y"] < 0.0
+
+
+def test_each_choice_of_a_colour_is_there_once() -> None:
+    """The direction of motion is the first, whether or not the readings have it as a channel."""
+    s = replace(_many(9), channels={"X, mm": np.arange(9.0), DIRECTION: np.ones(9)})
+    assert list(colours(s).values()) == [DIRECTION, "X, mm"]
+
+
+def test_curves_of_two_directions_differ_without_their_colours() -> None:
+    """Oracle: WCAG 1.4.1, colour is not the only difference: the dash and the marker are others, as in the report."""
+    place = np.arange(3.0)
+    curves = tuple(Curve(way, None, place, way * place, place, way * place) for way in (1, -1))
+    made = figures.evidence_figure(Evidence("m", "µm", "X, mm", curves, (place, place)))
+    lines = [t["line"]["dash"] for t in made["data"] if t["mode"] == "lines"]
+    markers = [t["marker"]["symbol"] for t in made["data"] if t["name"].startswith("residual, mean")]
+    assert (lines, markers) == (["solid", "dash"], ["triangle-up", "triangle-down"])
 
 
 @pytest.mark.parametrize("theme", ["body {", "body.body--dark {"])

@@ -10,6 +10,7 @@ from rtec.cli.main import status
 from rtec.errors import RtecError
 from rtec.model import Model
 from rtec.tasks.folder import Folder
+from rtec.tomlfile import read_toml
 from tests.studio.studio_rig import MACHINE
 
 
@@ -29,6 +30,23 @@ def test_a_machine_in_a_folder_below_is_listed_and_copied(tmp_path: Path) -> Non
     assert folder.take("mill/machine.toml") == "mill.toml"
     assert (root / "mill.toml").read_bytes() == content
     assert folder.listing().machines == ("mill.toml",)
+
+
+def test_a_file_that_cannot_be_read_is_listed_with_its_reason(tmp_path: Path) -> None:
+    """Oracle: the sentence of `read_toml`, with the name of the file in the folder."""
+    for name, text in (
+        ("mill.toml", "counts_per_mm = 2000,0\n"),
+        ("open.toml", "[machine\n"),
+        ("other.toml", "a = 1\n"),
+    ):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    unread = dict(Folder(tmp_path).listing().unread)
+    assert set(unread) == {"mill.toml", "open.toml"}
+    for name, why in unread.items():
+        with pytest.raises(RtecError) as raised:
+            read_toml(tmp_path / name)
+        assert why == str(raised.value).replace(f"{tmp_path}/", "")
+    assert "2000.0" in unread["mill.toml"]
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,7 @@ def test_a_view_of_a_comparison_is_the_comparison(folder: Path) -> None:
     known = rtec.compare(model, [file])
     assert view.facts == known.to_dict()
     (series,) = view.series
+    assert view.tiles == (tuple(known.page(figures=False).numbers),)
     assert np.array_equal(series.residuals, known.traces.left)
     assert series.floor == known.items[0].floor
     assert len(view.outliers) > 0
@@ -98,9 +99,39 @@ def test_a_preview_takes_what_the_expression_explains(folder: Path) -> None:
     model = rtec.load_model(folder / "m.toml", MACHINE)
     request = model_tasks.EffectRequest("", "EXX", (), "B*d_x", ())
     shown = model_tasks.preview(Silent(), model, request, [folder / "laser.csv"])
-    removed = float(shown.words.split("removes ")[1].split(" %")[0])
-    assert removed > 90.0
+    assert _removed(shown) > 90.0
+    assert "drawn on" not in shown.words  # there is no other measurement
     with pytest.raises(rtec.RtecError, match="nonsense"):
         model_tasks.preview(
             Silent(), model, model_tasks.EffectRequest("", "EXX", (), "A*nonsense(x)", ()), [folder / "laser.csv"]
         )
+
+
+def _removed(shown: model_tasks.PreviewView) -> float:
+    """The share of the mean square in a preview's words, percent."""
+    return float(shown.words.split("removes ")[1].split(" %")[0])
+
+
+def test_a_preview_counts_all_readings_and_names_the_measurement_of_its_curve(folder: Path, tmp_path: Path) -> None:
+    """Oracle: least squares by hand on the tables: the model's scale and a zero of each run, with and without B*d_x."""
+    model = rtec.load_model(folder / "m.toml", MACHINE)
+    other = simulated(
+        tmp_path, "wavy", 6, "--cycles", "3", "--effect", "polynomial_position,component=EXX,axis=X,c1=0,c2=9"
+    )
+    files = [folder / "laser.csv", other]
+    shown = model_tasks.preview(Silent(), model, model_tasks.EffectRequest("", "EXX", (), "B*d_x", ()), files)
+    tables = [rtec.load_measurement(f, MACHINE) for f in files]
+    outliers = model_tasks.compare(Silent(), model, files, folder / "m.toml").outliers
+    keep = [~np.isin(np.arange(len(m)) + 1, [o.row for o in outliers if o.measurement == m.name]) for m in tables]
+    x, way, reading = (
+        np.concatenate([{**m.channels, **m.readings}[c][k] for m, k in zip(tables, keep, strict=True)])
+        for c in ("x", "d_x", "reading_um")
+    )
+    run = np.concatenate([m.run[k] + 1000 * i for i, (m, k) in enumerate(zip(tables, keep, strict=True))])
+    zeros = (run[:, None] == np.unique(run)).astype(float)
+    left = [reading - c @ np.linalg.lstsq(c, reading)[0] for c in (np.c_[zeros, x], np.c_[zeros, x, way])]
+    by_hand = 100.0 * (1.0 - np.mean(left[1] ** 2) / np.mean(left[0] ** 2))
+    assert by_hand < 80.0  # of the first table alone it is over 90 %
+    assert _removed(shown) == pytest.approx(by_hand, abs=3.0)
+    assert shown.words.endswith("The curve is drawn on laser, where it explains most.")
+    assert shown.evidence.title == "B*d_x, in laser"

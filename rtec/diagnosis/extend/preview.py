@@ -4,15 +4,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtec.diagnosis.result import Picture
 from rtec.diagnosis.search.picture import of_effect
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
+from rtec.estimation import floor
+from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -20,11 +25,13 @@ class Preview:
     """What an expression explains.
 
     Attributes:
-        picture: the residual and the explained part.
-        removed: share of the residual's mean square that it removes, of the readings of the picture.
+        picture: the residual and the explained part, in the reading column that the expression moves most.
+        columns: number of reading columns.
+        removed: share of the mean square of all readings that it removes from the residual of the refitted model.
     """
 
     picture: Picture
+    columns: int
     removed: float
 
 
@@ -51,5 +58,18 @@ def preview(
     shown = of_effect(judged.readings, judged.base.columns, judged.flexible, expression, effect, theta)
     if shown is None or not shown.drivers:
         raise ModelError(f"no reading shows {expression}; nothing that it depends on was moved")
-    before, after = float(np.mean(shown.residual**2)), float(np.mean((shown.residual - shown.part) ** 2))
-    return Preview(shown, 1.0 - after / max(before, 1e-30))
+    return Preview(shown, len(judged.readings.series), _removed(judged, judged.readings.columns(effect, theta)))
+
+
+def _removed(judged: Judgement, columns: Floats) -> float:
+    """Share of the residual's mean square that columns, (m, k), remove beside those of the model."""
+    base = judged.base.columns
+    before, after = _residual(judged, base), _residual(judged, np.concatenate([base, columns], axis=1))
+    return 1.0 - (after / max(before, 1e-15)) ** 2
+
+
+def _residual(judged: Judgement, columns: Floats) -> float:
+    """Root mean square that a fit of columns, (m, p), leaves of all readings."""
+    white, values = judged.flexible, judged.readings.values
+    left = values - columns @ solve(white(columns), white(values))
+    return judged.pooled(floor.cleaned(judged.readings, left))

@@ -583,7 +583,9 @@ class _Answer:
             )
         if findings and findings[0].accepted:
             first, mine = findings[0], self.s.refitted[0].number
-            beside = [t.columns for t in self.s.chain if t.number != mine]
-            base = np.concatenate([self.s.prepared.base, *beside], axis=1)
-            return picture.of_effect(self.readings, base, self._noise(findings), first.label, first.effect, first.theta)
+            beside = [self._member(t).fitted for t in self.s.chain if t.number != mine]
+            return picture.of_effect(
+                self.readings, self.s.prepared.base, self._noise(findings), first.label, first.effect, first.theta,
+                beside,
+            )  # fmt: skip
         return None

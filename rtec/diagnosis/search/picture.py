@@ -15,6 +15,7 @@ from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
+from rtec.model import FittedEffect
 
 Floats = NDArray[np.float64]
 PANELS = 3
@@ -23,11 +24,29 @@ HARDLY = 0.3
 
 
 def of_effect(
-    readings: Readings, base: Floats, whitener: Whitener, label: str, effect: Effect, theta: Mapping[str, float]
+    readings: Readings,
+    base: Floats,
+    whitener: Whitener,
+    label: str,
+    effect: Effect,
+    theta: Mapping[str, float],
+    beside: Sequence[FittedEffect] = (),
 ) -> Picture | None:
-    """Picture of an effect."""
+    """Picture of an effect.
+
+    Args:
+        readings: the readings.
+        base: columns of the model, (m, p).
+        whitener: the noise.
+        label: short name of the effect.
+        effect, theta: the effect and its non-linear parameters.
+        beside: effects that are fitted with it and subtracted from the residual; the title names them.
+    """
     channels = effect.channels(readings.machine)
-    shown = _picture(readings, base, whitener, readings.columns(effect, theta), label, channels)
+    others = [readings.columns(f.effect, f.theta) for f in beside]
+    whole = np.concatenate([base, *others], axis=1)
+    less = f"{label}{words.less([f.effect.label for f in beside])}"
+    shown = _picture(readings, whole, whitener, readings.columns(effect, theta), label, channels, less)
     period = period_mm(effect, theta)
     if shown is None or period is None:
         return shown
@@ -35,10 +54,25 @@ def of_effect(
 
 
 def of_finding(d: Diagnosis, f: Finding) -> Picture | None:
-    """Picture of a candidate of a diagnosis; None where no reading shows it, or the diagnosis has no readings."""
+    """Picture of a candidate of a diagnosis; None where no reading shows it, or the diagnosis has no readings.
+
+    That of rank 1 is the picture of the diagnosis itself, where it has one.
+    """
+    if f.rank == 1 and d.shows_rank_1:
+        return d.picture
     if d.judged is None:
         return None
-    return of_effect(d.judged.readings, d.judged.base.columns, d.judged.noise, f.label, f.effect, f.theta)
+    j = d.judged
+    return of_effect(j.readings, j.base.columns, j.noise, f.label, f.effect, f.theta, _beside(d, f))
+
+
+def _beside(d: Diagnosis, f: Finding) -> list[FittedEffect]:
+    """The effects named together with a finding, or with rank 1 where the finding is as likely in its place."""
+    members = [m.fitted for m in d.together]
+    own = [m for m in members if m.effect == f.effect]
+    if not own and f.group:
+        own = [m for m in members if m.effect == d.findings[0].effect]
+    return [m for m in members if m not in own] if own else []
 
 
 def of_shape(
@@ -46,11 +80,17 @@ def of_shape(
 ) -> Picture | None:
     """Picture of a shape without a name: its columns, (m, k), and what it depends on."""
     label = f"what depends on {' and '.join(map(words.named, variables))}"
-    return _picture(readings, base, whitener, columns, label, variables)
+    return _picture(readings, base, whitener, columns, label, variables, label)
 
 
 def _picture(
-    readings: Readings, base: Floats, whitener: Whitener, columns: Floats, label: str, channels: Sequence[str]
+    readings: Readings,
+    base: Floats,
+    whitener: Whitener,
+    columns: Floats,
+    label: str,
+    channels: Sequence[str],
+    title: str,
 ) -> Picture | None:
     whole = np.concatenate([base, columns], axis=1)
     values = solve(whitener(whole), whitener(readings.values))
@@ -65,7 +105,7 @@ def _picture(
         return None
     strongest = np.argsort(-moved, kind="stable")[:PANELS]
     shown = [
-        _of_series(readings, readings.series[i], residual, part, label, channels)
+        _of_series(readings, readings.series[i], residual, part, label, channels, title)
         for i in strongest
         if moved[i] >= HARDLY * moved.max()
     ]
@@ -73,8 +113,9 @@ def _picture(
 
 
 def _of_series(
-    readings: Readings, series: Series, residual: Floats, part: Floats, label: str, channels: Sequence[str]
-) -> Picture:
+    readings: Readings, series: Series, residual: Floats, part: Floats, label: str,
+    channels: Sequence[str], title: str,
+) -> Picture:  # fmt: skip
     rows, machine = series.part, readings.machine
     drivers = [(name, readings.channel(name)[rows]) for name in _by_interest(readings, channels)]
     known = [(n, "degC" if n in machine.sensor_names else words.unit_of_channel(n), v) for n, v in drivers]
@@ -85,13 +126,12 @@ def _of_series(
     if axis is not None:
         way = readings.channel(axis.direction_channel)[rows]
         direction = way if np.isfinite(way).all() and np.ptp(way) > 0 else None
-    circle = _on_circle(readings, series)
+    circle, place = _on_circle(readings, series), series_name(readings, series)
     # The angle shows more than the positions of two axes.
     known = [*([("angle_deg", "deg", np.rad2deg(circle.angle_rad))] if circle else []), *known]
     return Picture(
         label, "urad" if series.unit == "urad" else "um", residual[rows], part[rows], tuple(known), direction,
-        readings.time_s[rows], series.run, f"{label}, in {series_name(readings, series)}",
-        circle=circle,
+        readings.time_s[rows], series.run, f"{title}, in {place}", place, circle=circle,
     )  # fmt: skip
 
 

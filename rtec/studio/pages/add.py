@@ -180,7 +180,7 @@ def shown_residuals(session: TabSession, view: CompareView) -> tuple[ShownResidu
 
 
 def _residual(session: TabSession, view: CompareView, source: CompareView, k: int, *, moved: bool) -> None:
-    """The residual of a reading column, on the scale of the larger one; it moves from that of `source` if `moved`."""
+    """The residual of a reading column, moved from that of `source` if `moved`, on the scale of the larger one."""
     s, began, most = view.series[k], source.series[k], _most(view, source, k)
     over = next(iter(s.channels))
     with ui.element("div").classes("card"):
@@ -333,6 +333,7 @@ class _Form:
             request = self._request()
         except RtecError as e:
             self._params.error = str(e)
+            self._draw_nothing("")
             return
         self._make_sliders()
         await self._draw(request)
@@ -364,8 +365,7 @@ class _Form:
         if self._preview is not None:
             self._preview.cancel()
         if not request.expression or step is None:
-            self._message.set_text(NOTHING_WRITTEN)
-            self._chart.show(_empty_figure())
+            self._draw_nothing(NOTHING_WRITTEN)
             return
         job = self._preview = Job("Preview", lambda: None)
         try:
@@ -375,6 +375,7 @@ class _Form:
         except RtecError as e:
             message, key = blamed(str(e), FIELDS, "own")
             {"own": self._text, "feeds": self._component, "params": self._params}[key].error = message
+            self._draw_nothing("")
             return
         if not self._chart.is_deleted:
             self._text.error = None
@@ -384,6 +385,15 @@ class _Form:
             self._below = shown.evidence.below
             self._chart.show(figures.evidence_figure(shown.evidence))
             self._session.previewed = request.expression, shown
+
+    def _draw_nothing(self, message: str) -> None:
+        """Take the last curve and its numbers away; a preview that is still being computed is not shown."""
+        if self._preview is not None:
+            self._preview.cancel()
+        self._session.previewed = None
+        if not self._chart.is_deleted:
+            self._message.set_text(message)
+            self._chart.show(_empty_figure())
 
     async def _add(self) -> None:
         try:

@@ -14,7 +14,7 @@ from rtec.studio.parts import actions, figures
 from rtec.studio.parts.chart import Chart, zoomable
 from rtec.studio.parts.controls import Area, Words, button, heading, lacking, section, table, tiles, waiting
 from rtec.studio.parts.session import TabSession
-from rtec.tasks.model import CompareView, OutlierView, SeriesView
+from rtec.tasks.model import DIRECTION, CompareView, OutlierView, SeriesView
 from rtec.tasks.report import DrawnPlot, marked_rows, marked_words
 from rtec.text import clean
 from rtec.wording import counted, decimals, number, sizes
@@ -60,12 +60,21 @@ def _head(session: TabSession) -> None:
         return
     if step.compared is not None:
         Words("p", step.compared.page.lead, "lead")
-        tiles(step.compared.page.numbers)
+        view = step.compared
+        k = _chosen_number(session, view.series)
+        _tiles(view.series, view.series[k], view.tiles[k])
         return
-    s = step.residual[worst(step.residual)]
+    s = _chosen(session, step.residual)
     Words("p", "The residual is drawn. Its noise floor and where it is worst are being worked out.", "lead")
     measured, residual = (f"{v}\u00a0{s.unit}" for v in sizes(_rms(s.measured), _rms(s.residuals)))
-    tiles([(measured, "measured"), (residual, "residual"), ("…", "noise floor")])
+    _tiles(step.residual, s, [(measured, "measured"), (residual, "residual"), ("…", "noise floor")])
+
+
+def _tiles(series: Sequence[SeriesView], shown: SeriesView, numbers: Sequence[tuple[str, str]]) -> None:
+    """Large numbers of the chosen reading column, under its name where there are several."""
+    if len(series) > 1:
+        Words("h2", shown.name)
+    tiles(numbers)
 
 
 def _tail(session: TabSession) -> None:
@@ -102,8 +111,17 @@ def shown_plot(session: TabSession, series: Sequence[SeriesView]) -> DrawnPlot:
 
 def _chosen(session: TabSession, series: Sequence[SeriesView]) -> SeriesView:
     """The chosen reading column; at first the one with the largest residual."""
+    return series[_chosen_number(session, series)]
+
+
+def _chosen_number(session: TabSession, series: Sequence[SeriesView]) -> int:
     kept, names = session.plots.series, [s.name for s in series]
-    return series[names.index(kept) if kept in names else worst(series)]
+    return names.index(kept) if kept in names else worst(series)
+
+
+def colours(s: SeriesView) -> dict[str, str]:
+    """Choices of the channel for the colours, by title; the empty one is the direction of motion, with its markers."""
+    return {"": DIRECTION, **{t: clean(t) for t in s.channels if t != DIRECTION}}
 
 
 @dataclass
@@ -145,7 +163,7 @@ class _Plots:
             names = {v.name: clean(v.name) for v in self._all}
             self._choice("series", "Measurement", names, s.name, rebuild=True)
             self._choice("over", "Draw over", channels, self._over)
-            self._choice("colour", "Colour by", {"": "direction of motion", **channels}, self._colour)
+            self._choice("colour", "Colour by", colours(s), self._colour)
             self._detail = Words(
                 "div",
                 self._marked_now()

@@ -7,12 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 from nicegui import events, ui
+from numpy.typing import NDArray
 
 from rtec.diagnosis.words import titled
 from rtec.errors import RtecError
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
-from rtec.machine.links import LinkPlaces, Side, component_words, link_places, room_mm
+from rtec.machine.links import LinkPlaces, Side, component_words, link_places, room_around, room_mm
 from rtec.model import Model
 from rtec.model.volume import component_errors, tip_errors
 from rtec.report.machine_state import SIDES, MachineState, effect_words, fed_errors, state_sentence
@@ -25,6 +26,7 @@ from rtec.wording import ERROR_UNITS, significant
 from rtec.wording import number as shown
 
 SPEED_RPM, DEGC = 6000.0, 25.0
+Floats = NDArray[np.float64]
 MAGNIFIED: Final = (0.0, 5.0)
 """Range of the magnification, as powers of ten."""
 TINTS: Final[Mapping[Side, str]] = {"tool": "@c2", "work": "@c3"}
@@ -81,6 +83,7 @@ class _Explorer:
                     self._scene = self._room(scene, words, "machine_from")
                 with ui.element("div").classes("card"):
                     Words("h2", "Error at the tool tip over the whole travel")
+                    Words("p", "Places of the tool tip relative to the workpiece.", "small")
                     words = "Nominal places and where the tool tip is, magnified"
                     self._map = self._room(volume, words, "travel_from")
             with ui.element("div").classes("controls"):
@@ -92,7 +95,7 @@ class _Explorer:
     def _room(self, figure: dict[str, Any], shows: str, camera: str) -> Chart:
         """A plot in 3D, whose camera is a part of the state."""
         now: Camera = getattr(self._now, camera)
-        made = Chart(figure, shows, view={"scene.camera": _plotly(now)} if now != Camera() else None).classes("tall")
+        made = Chart(figure, shows, view={"scene.camera": _plotly(now)} if now != Camera() else None).classes("room")
 
         def look(event: events.GenericEventArguments) -> None:
             eye, centre, up = ((float(x), float(y), float(z)) for x, y, z in event.args)
@@ -228,12 +231,12 @@ def _bars(fed: Mapping[str, float], machine: Machine) -> dict[str, Any]:
 
 
 def _axis3(title: str) -> dict[str, Any]:
-    return {"title": {"text": title}, "gridcolor": "@grid", "color": "@ink", "backgroundcolor": "@paper"}
+    small = {"title": {"text": title, "font": {"size": 13}}, "tickfont": {"size": 11}, "nticks": 6}
+    return small | {"gridcolor": "@grid", "color": "@ink", "backgroundcolor": "@paper"}
 
 
-def _layout3(machine: Machine) -> dict[str, Any]:
-    """Layout of a room with space for the machine at both ends of its travels, so that it is constant during motion."""
-    ranges = room_mm(machine)
+def _layout3(ranges: Floats) -> dict[str, Any]:
+    """Layout of a room, (3, 2), that is the same during motion."""
     size = np.ptp(ranges, axis=1)
     ratio = size / float(size.max())
     scene: dict[str, Any] = {
@@ -264,7 +267,7 @@ def _scene(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float)
                 "marker": {"size": 5, "color": tint}, "textfont": {"size": 13, "color": "@ink"}, "hoverinfo": "text",
                 "textposition": "middle right" if side == "work" else "top center",
             })  # fmt: skip
-    return {"data": data, "layout": _layout3(machine)}
+    return {"data": data, "layout": _layout3(room_mm(machine))}
 
 
 def _names_at(n: LinkPlaces, *, base: bool) -> list[str]:
@@ -279,12 +282,13 @@ def _names_at(n: LinkPlaces, *, base: bool) -> list[str]:
 
 
 def _volume(now: MachineState) -> dict[str, Any]:
-    """Nominal and predicted places of the tool tip over the travels, joined by lines."""
+    """Nominal and predicted places of the tool tip relative to the workpiece, joined by lines."""
     found = tip_errors(now.switched, now.state)
     place, size = found.place_mm, found.size_um
     real = place + 1e-3 * now.magnified * found.error_um
     joined = np.stack([place, real, np.full_like(place, np.nan)], axis=1).reshape(-1, 3)
     bar = {"title": {"text": "error, µm"}, "thickness": 14, "tickfont": {"color": "@ink"}}
+    bar |= {"orientation": "h", "y": 0.0, "yanchor": "top"}  # beside the plot it would take its width
     marker = {
         "size": 5,
         "color": figures.numbers(size),
@@ -300,4 +304,4 @@ def _volume(now: MachineState) -> dict[str, Any]:
          "y": figures.numbers(real[:, 1]), "z": figures.numbers(real[:, 2]), "marker": marker,
          "text": [f"{v:.2f} µm" for v in size], "hoverinfo": "text"},
     ]  # fmt: skip
-    return {"data": data, "layout": _layout3(now.model.machine)}
+    return {"data": data, "layout": _layout3(room_around(np.concatenate([place, real])))}

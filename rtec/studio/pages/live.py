@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from nicegui import ui
 
-from rtec.control.facts import AXIS_COLUMNS, axis_rows, footer, input_rows, state_word, troubles, um_text
+from rtec.control.facts import (
+    AXIS_COLUMNS,
+    axis_rows,
+    footer,
+    input_rows,
+    state_word,
+    troubles,
+    um_text,
+    waits_for_resume,
+)
 from rtec.errors import RtecError
 from rtec.studio.parts.controls import Area, Words, button, from_home, heading, table
 from rtec.studio.parts.session import TabSession
@@ -23,7 +32,9 @@ ORDERS: Final = {
     "enable": ("Enable", "Let the correction follow the model, from its present value, within its limits?"),
     "hold": ("Hold", "Hold the correction at its present value? It is no emergency stop."),
     "fade": ("Fade", "Fade the correction to zero at its slew limit?"),
-}
+    "resume": ("Resume", "Let the devices go on from where they are? Do first what the reason asks for, such as the "
+                         "check of a known position."),
+}  # fmt: skip
 BARS: Final = (("requested", "requested_um"), ("applied", "applied_um"))
 DASHES: Final = ("solid", "dash", "dot")
 """Of each four lines: colours alone are hard to distinguish."""
@@ -58,6 +69,7 @@ class _Spark:
         kept: what it draws.
         unit_s: of its time, in seconds.
         temperatures: whether it draws them, not the corrections.
+        names: names of its lines.
         newest_s: time of the last point that it has.
     """
 
@@ -65,6 +77,7 @@ class _Spark:
     kept: "deque[Moment]"
     unit_s: float
     temperatures: bool
+    names: list[str]
     newest_s: float
 
 
@@ -75,6 +88,7 @@ class _LivePage:
         self._sparks: list[_Spark] = []
         self._tracks: dict[tuple[str, str], tuple[ui.element, Words]] = {}
         self._axes: tuple[str, ...] = ()
+        self._resume: ui.button | None = None
         self._limits: dict[str, tuple[float, float]] = {}
 
     def build(self) -> None:
@@ -86,8 +100,12 @@ class _LivePage:
         self._lead = Words("p", "", "small")
         if link.role == "operate":
             with ui.element("div").classes("row"):
-                for name, (text, question) in ORDERS.items():
-                    button(text, partial(self._ask, name, text, question), main=name == "hold")
+                made = {
+                    name: button(text, partial(self._ask, name, text, question), main=name in ("hold", "resume"))
+                    for name, (text, question) in ORDERS.items()
+                }
+                self._resume = made["resume"]
+                self._resume.set_visibility(False)
                 self._mark = ui.input("Text beside the log", placeholder="new tool").props("outlined dense")
                 button("Mark", self._set_mark)
         else:
@@ -115,17 +133,23 @@ class _LivePage:
         self._why.set_text(clean_lines(why))
         self._state.classes(add=kind, remove=" ".join({"on", "held", "off"} - {kind}))
         if found is None:
+            self._offer_resume(False)
             self._lead.set_text("It is asked again every second.")
             return
         self._lead.set_text(f"{found['machine']}, model {found['model']}, {from_home(found['config'])}")
         if tuple(found["status"]["applied_um"]) != self._axes:
             self._session.on_change()  # first answer, or another machine's daemon
             return
+        self._offer_resume(waits_for_resume(found["status"]))
         self._move_bars(found)
         self._count += 1
         if self._count % EVERY == 1:
             self._tables.redo()
             self._append()
+
+    def _offer_resume(self, offered: bool) -> None:
+        if self._resume is not None:
+            self._resume.set_visibility(offered)
 
     def _make_bars(self) -> None:
         found = self._link.status
@@ -167,10 +191,11 @@ class _LivePage:
                 words.set_text(f"{um_text(value)}{unit}" if name != "residual" or value is None else f"{value:.2f} µm")
 
     def _spark(self, title: str, kept: "deque[Moment]", *, temperatures: bool) -> None:
+        from rtec.report.daemon import since
         from rtec.studio.parts import figures
         from rtec.studio.parts.chart import zoomable
 
-        names = self._names(temperatures)
+        names = self._names(kept, temperatures)
         unit_s, unit = (60.0, "minutes") if kept is self._link.minutes else (3600.0, "hours")
         data = [
             {
@@ -186,7 +211,7 @@ class _LivePage:
         ]
         up = figures.axis("temperature, °C" if temperatures else "correction, µm")
         layout = figures.layout(
-            xaxis=figures.axis(f"{unit} since the daemon began", nticks=6, rangemode="nonnegative"),
+            xaxis=figures.axis(f"{unit} {since(self._link.runs)}", nticks=6, rangemode="nonnegative"),
             yaxis=up,
             dragmode="zoom",
             showlegend=True,
@@ -196,24 +221,27 @@ class _LivePage:
             Words("h2", title)
             name = f"live {unit} {'degc' if temperatures else 'applied'}"
             chart = zoomable(self._session, name, {"data": data, "layout": layout}, title).classes("low")
-        self._sparks.append(_Spark(chart, kept, unit_s, temperatures, kept[-1].time_s if kept else 0.0))
+        self._sparks.append(_Spark(chart, kept, unit_s, temperatures, names, kept[-1].time_s if kept else -1.0))
 
-    def _names(self, temperatures: bool) -> list[str]:
+    def _names(self, kept: "deque[Moment]", temperatures: bool) -> list[str]:
+        from rtec.report.daemon import named
+
         found = self._link.status
-        return list(found["status"]["degc" if temperatures else "applied_um"]) if found is not None else []
+        now = found["status"]["degc" if temperatures else "applied_um"] if found is not None else ()
+        return list(dict.fromkeys([*named(kept, temperatures=temperatures), *now]))
 
     def _append(self) -> None:
         for spark in self._sparks:
-            now = spark.kept[-1] if spark.kept else None
-            if now is None or now.time_s == spark.newest_s:
-                continue
-            if now.time_s < spark.newest_s:
-                self._session.on_change()  # the daemon was restarted: its time begins again
+            if spark.names != self._names(spark.kept, spark.temperatures) or _begins_anew(spark):
+                self._session.on_change()  # a restarted daemon, maybe with other sensors
                 return
-            spark.newest_s = now.time_s
-            values = [_of(now, n, spark.temperatures) for n in self._names(spark.temperatures)]
-            across = [[now.time_s / spark.unit_s]] * len(values)
-            spark.chart.append(across, [[v] for v in values], spark.kept.maxlen or 0)
+            new = [m for m in spark.kept if m.time_s > spark.newest_s]
+            if not new:
+                continue
+            spark.newest_s = new[-1].time_s
+            across = [[m.time_s / spark.unit_s for m in new]] * len(spark.names)
+            up = [[_of(m, n, spark.temperatures) for m in new] for n in spark.names]
+            spark.chart.append(across, up, spark.kept.maxlen or 0)
 
     def _make_tables(self) -> None:
         from rtec.report.page import Table
@@ -239,7 +267,8 @@ class _LivePage:
             with ui.element("div").classes("card whole"):
                 Words("h2", "Events, newest first")
                 rows = [
-                    [e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]] for e in reversed(found["events"])
+                    [e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]]
+                    for e in reversed(self._link.events)
                 ]
                 if rows:
                     table(Table(("UTC", "what", "text", "by"), rows, words=(0, 1, 2, 3)))
@@ -272,6 +301,11 @@ class _LivePage:
             self._message.set_text(outcome.text)
         except RtecError as e:
             self._message.set_text(str(e))
+
+
+def _begins_anew(spark: _Spark) -> bool:
+    """Whether a daemon was restarted since the last point that a plot has."""
+    return any(m.is_gap and m.time_s >= spark.newest_s for m in spark.kept)
 
 
 def _of(moment: "Moment", name: str, temperatures: bool) -> float | None:

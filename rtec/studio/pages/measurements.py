@@ -31,6 +31,7 @@ def build(session: TabSession) -> None:
     if not (there.machines or there.measurements or there.foreign):
         _empty(session)
     _drop(session)
+    _unread(session)
     with ui.element("div").classes("pair"):
         _machine(session)
 
@@ -100,6 +101,16 @@ def _drop(of_tab: TabSession) -> None:
         label="Drop files here, or press + to choose them: measurements, tables, machine and model files",
     ).props('flat aria-label="Drop files"')
     trouble(of_tab, "drop")
+
+
+def _unread(session: TabSession) -> None:
+    """Files of machines, models or measurements that cannot be read, with the reason."""
+    if not session.listing.unread:
+        return
+    with ui.element("div").classes("card bad").props('role="status"'):
+        Words("h2", "Files that cannot be read")
+        for _, why in session.listing.unread:
+            Words("p", why)
 
 
 def _import(session: TabSession, name: str) -> None:

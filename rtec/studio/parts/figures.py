@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.thinning import MOST, by_place, cells_of, drawn, line_ends
+from rtec.report.thinning import MOST, by_place, cells_of, drawn, is_position, line_ends
 from rtec.text import clean
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def residual_over(
             some = rows[mask[rows]]
             traces.append(_points(s, some, x, y, f"{what}{name}", color=tint, symbol=symbol))
     if what != "residual":
-        traces += _predicted(s, x)
+        traces += _predicted(s, x) if is_position(over) else _each_predicted(s, x, rows)
     elif there := [o for o in wrong if over in o.channels]:
         traces.append({
             "type": "scatter", "mode": "markers", "name": "wrong, excluded", "y": [o.off for o in there],
@@ -194,6 +194,26 @@ def _predicted(s: "SeriesView", x: Floats) -> list[Figure]:
     return out
 
 
+def _each_predicted(s: "SeriesView", x: Floats, rows: Ints) -> list[Figure]:
+    """The prediction of each reading: over a temperature or the time, readings of different places are no line."""
+    out: list[Figure] = []
+    for name, mask, tint, symbol in ways(s.direction):
+        some = rows[mask[rows]]
+        marker = {"color": tint if name else "@ink", "symbol": f"{symbol}-open", "size": SMALL + 1}
+        out.append(
+            {
+                "type": kind(len(s)),
+                "mode": "markers",
+                "name": f"predicted{name}",
+                "x": numbers(x[some]),
+                "y": numbers(s.predicted[some]),
+                "marker": marker,
+                "hoverinfo": "skip",
+            }
+        )
+    return out
+
+
 def over_time(s: "SeriesView", rows: Ints) -> Figure:
     """The residual of some readings over time, with the temperatures below."""
     title = next(t for t in s.channels if t.startswith("time "))
@@ -218,7 +238,7 @@ def over_time(s: "SeriesView", rows: Ints) -> Figure:
         xaxis=axis(title, anchor="y2" if both else "y"),
         yaxis=axis(f"residual, {s.unit}", domain=[0.52, 1.0] if both else [0.0, 1.0]),
         shapes=_band(s.floor),
-        legend={"orientation": "v", "x": 1.01, "y": 0.42, "yanchor": "top", "font": {"size": 13}},
+        legend={"orientation": "h", "x": 0, "y": -0.14, "yanchor": "top", "font": {"size": 13}},
     )
     if both:
         whole["yaxis2"] = axis("temperature, °C", domain=[0.0, 0.42])
@@ -323,7 +343,7 @@ def evidence_figure(e: "Evidence", title: str = "") -> Figure:
                 "name": text(f"fitted effect{way}{held}"),
                 "x": numbers(c.place),
                 "y": numbers(c.part),
-                "line": {"color": tint, "width": 4},
+                "line": {"color": tint, "width": 4, "dash": "dash" if c.direction < 0 else "solid"},
             }
         )
     heading = {"text": text(title), "x": 0, "xanchor": "left", "font": {"size": 16}} if title else None

@@ -208,6 +208,14 @@ def test_own_expression_shows_its_curve_and_its_sliders_move_it(page: "Page") ->
     )
     page.get_by_label("Parameters with a range").fill("p=1:2")
     page.get_by_text("write a parameter as NAME=START:LOW..HIGH").wait_for()
+    of_before = page.get_by_text("of the mean square of the residual")
+    of_before.wait_for(state="detached")
+    page.wait_for_function("(e) => e.data.length === 0", arg=chart.element_handle())
+    page.get_by_label("Parameters with a range").fill("p=37,5:3..200")
+    of_before.wait_for()
+    page.get_by_label("Expression, µm or µrad").fill("A*sin(2*pi*x/p +")
+    of_before.wait_for(state="detached")
+    page.wait_for_function("(e) => e.data.length === 0", arg=chart.element_handle())
     for field in ("Expression, µm or µrad", "Parameters with a range"):
         page.get_by_label(field).fill("")
 

@@ -166,7 +166,7 @@ def test_an_expression_that_is_being_written(page: "Page") -> None:
     _show(page, "Add and watch")
     page.get_by_text("An effect of your own").click()
     page.get_by_label("Expression, µm or µrad").fill("A*sin(2*pi*x/50)")
-    words = page.get_by_text("of the mean square of the residual of these readings")
+    words = page.get_by_text("of the mean square of the residual of all readings")
     words.wait_for()
     said = words.inner_text()
     html = _report(page, "Add and watch")
@@ -198,7 +198,7 @@ def test_the_machine_is_seen_from_the_same_place(page: "Page", workshop: Running
     _show(page, "Explore")
     chart = _chart(page, "The machine's links")
     _drag(page, chart, (0.5, 0.5), (0.65, 0.35))
-    page.wait_for_function(f"(e) => ({CAMERA})(e).eye.x !== 0.98", arg=chart.element_handle())
+    page.wait_for_function(f"(e) => ({CAMERA})(e).eye.x !== 1.47", arg=chart.element_handle())
     page.wait_for_timeout(1000)  # the view comes to rest
     camera, seen = _camera(chart.evaluate(CAMERA)), chart.evaluate(SEEN)
     machine = load_machine(MACHINE)
