@@ -193,7 +193,13 @@ def test_the_default_longest_age_follows_the_period_of_reading(channel: str) -> 
         return 0
 
     with encoders(channel) as fake, CanEncodersDriver(options, MACHINE, clock) as device:
-        reads()
+
+        def starts() -> bool:
+            clock.sleep_until_ns(clock.now_ns() + period_ns)
+            return reads() > 0
+
+        assert until(starts)
+        assert until(lambda: reads() == clock.now_ns() - period_ns)
         for _ in range(20):
             asked_ns = clock.now_ns()
             clock.sleep_until_ns(asked_ns + period_ns)
