@@ -22,6 +22,8 @@ from rtec_drivers.can.sync_book import SyncBook
 from rtec_drivers.count_tracker import CountTracker
 
 SYNC = 0x080
+LAST_SHORT = 0x7FF
+"""Largest identifier of 11 bits."""
 Reading = tuple[tuple[int, ...], int, int]
 """Counters of all axes, and the two instants between which they were latched, ns."""
 
@@ -130,9 +132,12 @@ max_speed_mm_s = 500
         self._tracker = CountTracker(names, options.bits, fastest, middle)
         self._nodes = NodeWatch(list(options.node.values()))
         filters = {(s.identifier, s.extended) for s in self._sources} | set(self._nodes.identifiers())
+        # A wrong length of the identifier is to be named, so it must pass the filter.
+        filters |= {(s.identifier, not s.extended) for s in self._sources if s.identifier <= LAST_SHORT}
         self._port = CanPort(options, clock, sorted(filters), self._frame)
         self._pending: dict[int, tuple[int, int]] = {}
         self._book = SyncBook(len(names))
+        self._unusable = [""] * len(names)
         self._newest: Reading | None = None
         self._used: Reading | None = None
         self._counts: tuple[int, ...] | None = None
@@ -193,6 +198,7 @@ max_speed_mm_s = 500
     def _forget(self) -> None:
         self._pending.clear()
         self._book = SyncBook(len(self._names))
+        self._unusable = [""] * len(self._names)
         self._newest = self._used = self._counts = None
         self._instant_ns = -(2**62)
 
@@ -209,8 +215,12 @@ max_speed_mm_s = 500
             self._nodes.frame(identifier, data, now_ns)
         come = False
         for k, source in enumerate(self._sources):
-            if source.identifier == identifier and source.extended == extended:
+            if source.identifier != identifier:
+                continue
+            if source.extended == extended:
                 come = self._take(k, source, data, now_ns) or come
+            else:
+                self._unusable[k] = _other_length(source)
         if come and (not self._options.sync or self._book.whole(now_ns)) and len(self._pending) == len(self._sources):
             self._complete(now_ns)
 
@@ -218,8 +228,10 @@ max_speed_mm_s = 500
         """Keep an axis' position; False where it is none, or where no SYNC asked for it."""
         try:
             number = int(source.number(data))
-        except (DriverFault, ValueError, OverflowError):  # no number: the reading ages and times out
+        except (DriverFault, ValueError, OverflowError) as e:  # no number: the reading ages and times out
+            self._unusable[k] = str(e) if isinstance(e, DriverFault) else f"{_identifier(source)}: no number ({e})"
             return False
+        self._unusable[k] = ""
         if self._options.sync and not self._book.takes(k, now_ns):
             return False
         self._pending[k] = (number, now_ns)
@@ -234,6 +246,10 @@ max_speed_mm_s = 500
 
     def _silent(self, now_ns: int) -> str:
         longest_ns = self._longest.ns
+        waiting = f"can_encoders: no new positions within {longest_ns * 1e-6:.3g} ms"
+        unusable = [f"axis {n}: {text}" for n, text in zip(self._names, self._unusable, strict=True) if text]
+        if unusable:
+            return f"{waiting}: what comes is unusable: {'; '.join(unusable)}"
         late_ns = self._book.late_ns(now_ns, longest_ns)
         if late_ns:
             return (
@@ -242,7 +258,7 @@ max_speed_mm_s = 500
                 "and counts_max_age_s of [guard] above that, or make the encoders answer sooner"
             )
         missing = [n for k, n in enumerate(self._names) if self._missing(k)] or self._names
-        return f"can_encoders: no new positions within {longest_ns * 1e-6:.3g} ms (waiting for {', '.join(missing)})"
+        return f"{waiting} (waiting for {', '.join(missing)})"
 
     def _missing(self, k: int) -> bool:
         return self._book.owes(k) if self._options.sync else k not in self._pending
@@ -250,6 +266,18 @@ max_speed_mm_s = 500
     def _enough_ms(self, late_ns: int) -> int:
         """A timeout for answers that come this late: a reading is used until the one after it has come."""
         return math.ceil((2 * late_ns + 3 * self._longest.period_ns) * 1e-6)
+
+
+def _identifier(source: SignalSource) -> str:
+    return f"{source.identifier:X}h"
+
+
+def _other_length(source: SignalSource) -> str:
+    came, needed = ("an 11-bit", "a 29-bit") if source.extended else ("a 29-bit", "an 11-bit")
+    way_out = (
+        "look at the DBC file" if source.extended else "clear bit 29 of the COB-ID in the device's object 1800h ff."
+    )
+    return f"{_identifier(source)} comes as {came} identifier, {needed} one is needed; {way_out}"
 
 
 def _span(axis: Axis) -> float:
