@@ -82,6 +82,11 @@ class Block:
     request: ModbusRequest
     numbers: tuple[tuple[str, Register], ...]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its numbers."""
+        return tuple(name for name, _ in self.numbers)
+
     def raw(self, registers: tuple[int, ...]) -> Iterable[tuple[str, float]]:
         """Name and raw number of each."""
         for name, register in self.numbers:
