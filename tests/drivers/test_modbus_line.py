@@ -100,6 +100,22 @@ def test_a_block_that_is_refused_costs_no_other_block_anything() -> None:
         assert until(lambda: seen["T_column"] == 25.0 and device.faults() == [])
 
 
+@pytest.mark.parametrize(("words", "shown"), [((0x0000, 0x41A0), "2.35e-41"), ((0x6666, 0x4214), "2.72e+23")])
+def test_a_float_in_the_wrong_word_order_is_no_temperature(words: tuple[int, int], shown: str) -> None:
+    """Oracle: IEEE 754: 20 °C is 41A00000h, 37.1 °C is 42146666h; here the low word comes first."""
+    peer = FakeSlave(register={100: lambda: words[0], 101: lambda: words[1]})
+    register = {"address": 100, "type": "float32", "scale": 1.0}
+    with line({1: peer}) as fake:
+        table = slave_table(1, "T_bed", register=register)
+        with driver(serial=serial(fake.port), slave={"a": table}) as device:
+            why = f"holding registers 100 to 101: {shown} is no temperature; look at word_order, type and address"
+            assert until(lambda: device.faults() == [f"T_bed: slave 1 (a): {why}"])
+            assert np.isnan(Seen(device)["T_bed"])
+        table = slave_table(1, "T_bed", register={**register, "word_order": "low"})
+        with driver(serial=serial(fake.port), slave={"a": table}) as device:
+            assert until(lambda: 20.0 <= Seen(device)["T_bed"] < 37.11)
+
+
 def test_a_slave_that_refuses_everything_proves_that_the_line_is_good() -> None:
     """Oracle: its refusals, error 6; the port is opened once. One that answers with function 4 to 3 is named so."""
     peer = FakeSlave(value=lambda _: 200)

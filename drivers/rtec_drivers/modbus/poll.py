@@ -224,8 +224,11 @@ class Poller:
             self._refused(slave, asking, answer.error)
             return True
         asking.backoff.reset()
-        for name, raw in block.raw(answer.registers):
-            self._readings.take(name, raw, asked_ns)
+        for name, raw, why in block.raw(answer.registers):
+            if why:
+                self._readings.silent([name], f"slave {slave.number} ({slave.name}): {block.request.place}: {why}")
+            else:
+                self._readings.take(name, raw, asked_ns)
         return True
 
     def _no_answer(self, slave: Slave, block: Block, data: bytes, asked_ns: int) -> None:
