@@ -124,6 +124,10 @@ class Backoff:
         """Restart with the shortest."""
         self._next_ns = self._first_ns
 
+    def another(self) -> "Backoff":
+        """One with the same waits, for something else."""
+        return Backoff(self._first_ns / NS, self._longest_ns / NS)
+
 
 class OpenLink(Protocol):
     """The link that a worker opens."""

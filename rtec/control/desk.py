@@ -158,7 +158,9 @@ class Desk:
         age_s = (self.clock.now_ns() - status.time_ns) * 1e-9 if status.time_ns else None
         facts = {
             **vars(status),
-            "position_mm": {axis: counts / per_mm[axis] for axis, counts in status.counts.items()},
+            "position_mm": {
+                axis: None if counts is None else counts / per_mm[axis] for axis, counts in status.counts.items()
+            },
             "flags": [f.name for f in status.flags],
             "reasons": status.reasons,
         }

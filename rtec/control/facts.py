@@ -1,5 +1,6 @@
 """A daemon's status for people: the rows of its tables, and its lines of text."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -46,11 +47,11 @@ AXIS_COLUMNS: Final = ("axis", "position, mm", "requested, µm", "applied, µm",
 def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
     """For each axis: name, position, requested and applied correction, residual of the last measurement, output."""
     status, residual = report["status"], report["left"]["axes"]
-    lost = positions_unknown(status)
+    lost, position_mm = positions_unknown(status), status["position_mm"]
     return [
         [
             axis,
-            "not known" if lost else f"{status['position_mm'][axis]:.4f}",
+            "not known" if lost or position_mm[axis] is None else f"{position_mm[axis]:.4f}",
             um_text(status["requested_um"][axis]),
             um_text(status["applied_um"][axis]),
             f"{residual[axis]['rms_um']:.2f}" if axis in residual else "not known",
@@ -63,7 +64,8 @@ def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
 def input_rows(report: Mapping[str, Any]) -> list[list[str]]:
     """For each input: name, value, age."""
     status = report["status"]
-    rows = [["counts", "", f"{max(1e3 * status['counts_age_s'], 0.0):.2f} ms"]]
+    age_s = status["counts_age_s"]
+    rows = [["counts", *(["not read", ""] if age_s is None else ["", f"{max(1e3 * age_s, 0.0):.2f} ms"])]]
     for sensor, degc in status["degc"].items():
         value = "not read" if degc is None else f"{degc:.2f} °C"
         rows.append([sensor, value, _age(status["degc_age_s"][sensor]) if degc is not None else ""])
@@ -156,8 +158,8 @@ def troubles(report: Mapping[str, Any]) -> list[str]:
 
 
 def um_text(value: float | None) -> str:
-    """A correction in words; null, which stands for NaN, as "not known"."""
-    return "not known" if value is None else f"{round(value, 2) + 0.0:+.2f}"  # no -0.00
+    """A correction in words; null or NaN as "not known"."""
+    return "not known" if value is None or math.isnan(value) else f"{round(value, 2) + 0.0:+.2f}"  # no -0.00
 
 
 def _age(seconds: float) -> str:

@@ -66,9 +66,10 @@ def _families(report: Mapping[str, Any]) -> Iterator[tuple[str, str, str, _Value
     yield "left_um", "gauge", "Residual of the last measurement, root mean square, um.", _by("axis", residual)
     yield "temperature_celsius", "gauge", "Temperatures.", _by("sensor", status["degc"])
     since_s = report["status_age_s"] or 0.0
+    counts_age_s = None if status["counts_age_s"] is None else status["counts_age_s"] + since_s
     ages = {sensor: None if age is None else age + since_s for sensor, age in status["degc_age_s"].items()}
     yield "temperature_age_seconds", "gauge", "Age of the temperatures.", _by("sensor", ages)
-    yield "counts_age_seconds", "gauge", "Age of the axis counts.", [({}, status["counts_age_s"] + since_s)]
+    yield "counts_age_seconds", "gauge", "Age of the axis counts.", [({}, counts_age_s)]
     yield "spindle_rpm", "gauge", "Spindle speed, 1/min.", [({}, status["spindle_rpm"])]
     yield "status_age_seconds", "gauge", "Age of the loop's newest row.", [({}, report["status_age_s"])]
     yield "mode", "gauge", "1 for the mode that is ordered.", _by("mode", {m: m == status["mode"] for m in _MODES})

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 
 from rtec.correction.flags import Flag
 from rtec.loop.devices import names_sensor
-from rtec.loop.records import NEVER_NS
 from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.text import joined
 
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from rtec.loop.run_file import Setup
 
 MOST_NAMED: Final = 5
-NEVER_S: Final = -0.5e-9 * NEVER_NS
-"""Counts of this age, s, were never read."""
 
 
 def causes(setup: "Setup", status: "Status") -> dict[str, str]:
@@ -44,7 +41,7 @@ def _listed(texts: list[str]) -> str:
 
 def _stale_counts(setup: "Setup", status: "Status") -> Iterable[str]:
     device, most = setup.file.role.counts, setup.file.guard.counts_max_age_s
-    if status.counts_age_s > NEVER_S:
+    if math.isnan(status.counts_age_s):
         yield f"device {device} has sent none yet"
     else:
         yield f"those of device {device} are {status.counts_age_s:.3g} s old, and {most:g} s are allowed"
@@ -72,7 +69,9 @@ def _impossible(setup: "Setup", status: "Status") -> Iterable[str]:
 def _outside(setup: "Setup", status: "Status") -> Iterable[str]:
     read, ranges = set(setup.model.channels), setup.model.valid_range
     values = [
-        (f"axis {a.name}", a.channel, status.counts.get(a.name, 0) / a.counts_per_mm, "mm") for a in setup.machine.axes
+        (f"axis {a.name}", a.channel, counts / a.counts_per_mm, "mm")
+        for a in setup.machine.axes
+        if (counts := status.counts.get(a.name)) is not None
     ]
     values += [(_sensor(setup, s), s, status.degc.get(s, math.nan), "°C") for s in _sensors(setup)]
     if "spindle_rpm" in read:

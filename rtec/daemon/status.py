@@ -14,7 +14,7 @@ import numpy as np
 from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.ring import Ring
 from rtec.loop.ports import HOLDS
-from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
+from rtec.loop.records import MODES_BY_NAME, NEVER_NS, Commands, Layout, Samples
 from rtec.text import joined, without_numbers
 
 
@@ -33,12 +33,13 @@ class Status:
         time_ns: instant of the newest row, monotonic clock; 0 before the first.
         cycles, misses: of the loop.
         mode: "on", "off" or "hold", as ordered.
-        requested_um, applied_um, output, counts: by axis name.
-        counts_age_s: age of the counts when the row was made.
+        requested_um, applied_um, output, counts: by axis name; counts that were never read are None, and the request
+            that follows from them is NaN.
+        counts_age_s: age of the counts when the row was made; NaN where they were never read.
         flags: bits of `Flag`.
         causes: which device, sensor or axis a flag is about, and what is allowed, by the flag's name; only where that
             can be named.
-        degc, degc_age_s: by sensor name.
+        degc, degc_age_s: by sensor name; NaN where it was never read.
         spindle_rpm: NaN where it is not known.
         devices: present faults by device; only devices with a fault.
         takeovers: number of orders to resume that were carried out.
@@ -60,7 +61,7 @@ class Status:
     requested_um: dict[str, float] = field(default_factory=dict)
     applied_um: dict[str, float] = field(default_factory=dict)
     output: dict[str, int] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
+    counts: dict[str, int | None] = field(default_factory=dict)
     counts_age_s: float = 0.0
     flags: Flag = field(default_factory=lambda: Flag(0))
     causes: dict[str, str] = field(default_factory=dict)
@@ -156,18 +157,21 @@ class RowWatch:
             self._saturated_ns = int(samples.time_ns[saturated[-1]]) + self._period_ns
         if now_ns < self._saturated_ns:
             now |= Flag.OUTPUT_SATURATED
-        degc_age_s = (now_ns - samples.degc_time_ns[-1]) * NS
+        degc_time_ns = samples.degc_time_ns[-1]
+        degc_age_s = np.where(degc_time_ns == 0, np.nan, (now_ns - degc_time_ns) * NS)
+        counts_read = int(samples.counts_time_ns[-1]) != NEVER_NS
+        requested_um = commands.requested_um[-1] if counts_read else np.full(len(axes), np.nan)
         self.status = Status(
             time_s=(now_ns - self._first_ns) * NS,
             time_ns=now_ns,
             cycles=self.rows + ring.overruns,
             misses=ring.deadline_misses,
             mode=MODE_NAMES.get(ring.orders.mode, ""),
-            requested_um=dict(zip(axes, commands.requested_um[-1].tolist(), strict=True)),
+            requested_um=dict(zip(axes, requested_um.tolist(), strict=True)),
             applied_um=dict(zip(axes, commands.applied_um[-1].tolist(), strict=True)),
             output=dict(zip(axes, commands.output[-1].tolist(), strict=True)),
-            counts=dict(zip(axes, samples.counts[-1].tolist(), strict=True)),
-            counts_age_s=(now_ns - int(samples.counts_time_ns[-1])) * NS,
+            counts=dict(zip(axes, samples.counts[-1].tolist() if counts_read else [None] * len(axes), strict=True)),
+            counts_age_s=(now_ns - int(samples.counts_time_ns[-1])) * NS if counts_read else float("nan"),
             flags=now,
             degc=dict(zip(sensors, samples.degc[-1].tolist(), strict=True)),
             degc_age_s=dict(zip(sensors, degc_age_s.tolist(), strict=True)),

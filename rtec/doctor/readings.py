@@ -230,6 +230,7 @@ class DeviceReadings:
 
 LINE_KEYS = ("baud", "bytesize", "parity", "stopbits")
 SILENT_WORDS = ("no answer", "not answer", "silent", "no connection", "no reading", "no such port", "no port")
+REACHED_WORDS = ("the connection is open", "the gateway is there")
 NUISANCE = {
     "rtec": "that is `rtec run`: `rtec status` shows its devices; to look at them here stop it first",
     "ModemManager": "it tries every new serial port: sudo systemctl disable --now ModemManager",
@@ -369,7 +370,7 @@ def _can_ways(table: BaseModel, root: Path) -> list[str]:
 
 def _network_ways(table: BaseModel, error: Exception) -> list[str]:
     host = _text(table, "host")
-    if not host or not _silent(error):
+    if not host or not _silent(error) or any(word in str(error) for word in REACHED_WORDS):
         return []
     if isinstance(error.__cause__, ConnectionRefusedError):
         return [f"{host} is there, but nothing listens on port {getattr(table, 'port', '?')}: is that the right port?"]

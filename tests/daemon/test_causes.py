@@ -6,14 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtec.control.desk import Desk
+from rtec.control.facts import axis_rows, input_rows, um_text
+from rtec.control.prometheus import metrics
 from rtec.correction.flags import MODE_ON, REASONS, Flag
 from rtec.daemon.causes import causes
 from rtec.daemon.ring import Ring
 from rtec.daemon.status import RowWatch, Status
+from rtec.loop.clock import VirtualClock
 from rtec.loop.records import NEVER_NS, Commands, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 from tests.support import plain_step, setups
+from tests.support.control_rig import FakeDaemon
 
 NOW_NS = 10**12
 FRESH_NS = NOW_NS - 1_000_000
@@ -63,7 +68,31 @@ def test_stale_counts_name_their_device(setup: Setup) -> None:
     assert row.status().causes == {"STALE_COUNTS": text}
     assert row.status().reasons == [f"{REASONS[Flag.STALE_COUNTS]}: {text}"]
     row.sample.counts_time_ns[:] = NEVER_NS
-    assert row.status().causes == {"STALE_COUNTS": "device box has sent none yet"}
+    row.sample.counts[:] = 0
+    status = row.status()
+    assert status.causes["STALE_COUNTS"] == "device box has sent none yet"
+    assert "axis" not in str(status.causes)  # nothing is known of its position
+
+
+def test_what_was_never_read_is_not_known(setup: Setup) -> None:
+    """Neither counts nor a temperature. Oracle: docs/control.md: what is not known is null; NaN before it is sent."""
+    row = Row(setup)
+    row.sample.counts_time_ns[:] = NEVER_NS
+    row.sample.degc[:], row.sample.degc_time_ns[:] = np.nan, 0
+    status = row.status()
+    assert set(status.counts.values()) == {None}
+    assert np.isnan([status.counts_age_s, *status.requested_um.values(), *status.degc_age_s.values()]).all()
+    assert {um_text(um) for um in status.requested_um.values()} == {"not known"}
+    daemon = FakeDaemon(setup)
+    daemon.status = status
+    report = Desk(daemon, VirtualClock(NOW_NS), {}).status()
+    facts = report["status"]
+    assert facts["counts_age_s"] is None
+    for key in ("counts", "position_mm", "requested_um", "degc", "degc_age_s"):
+        assert set(facts[key].values()) == {None}, key
+    assert not [line for line in metrics(report).splitlines() if "rtec_counts_age" in line or "temperature_age" in line]
+    assert [row[1:3] for row in axis_rows(report)] == [["not known", "not known"]] * len(setup.machine.axes)
+    assert input_rows(report)[0] == ["counts", "not read", ""]
 
 
 def test_a_temperature_that_is_stale_or_missing_names_its_sensor(setup: Setup) -> None:

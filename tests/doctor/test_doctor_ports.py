@@ -180,6 +180,11 @@ def test_network() -> None:
     error.__cause__ = ConnectionRefusedError()
     assert "nothing listens on port 502" in ways(_Host(), error, False)[0]
     assert ways(_Host(), error, True) == ()
+    for reached in (
+        "the connection is open: look at id = 1",
+        "error 11: the gateway is there, but the unit does not answer",
+    ):
+        assert ways(_Host(), DriverFault(f"T_bed: no answer; {reached}"), False) == ()
 
 
 def test_an_open_port_that_others_read_too_or_whose_adapter_waits(tmp_path: Path, device: str) -> None:

@@ -192,7 +192,7 @@ def test_silence_open_wires_short_frames_and_other_nodes_are_told(channel: str) 
         bus.send(frame(0x185, pdo(32767, 0, 0, 0)))
         assert until(lambda: any("T_bed: open circuit" in f for f in device.faults()))
         bus.send(frame(0x185, b"\x01"))
-        assert until(lambda: any("PDO 0x185 has 1 bytes, the map needs 2" in f for f in device.faults()))
+        assert until(lambda: any("185h comes with 1 byte, 2 are needed for map i16" in f for f in device.faults()))
         assert until(lambda: any("T_bed: no frame for" in f for f in device.faults()))
         assert value(device, "T_bed") == 21.5
         bus.send(frame(0x185, pdo(216, 0, 0, 0)))

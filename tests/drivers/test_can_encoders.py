@@ -1,7 +1,7 @@
 """Encoders on a CAN bus as a count source. Oracle throughout: encoders written here, which latch at SYNC (CiA 406)."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
@@ -28,11 +28,13 @@ class FakeEncoders:
         step: by so much they move at each SYNC.
         mute: nodes that do not answer.
         latched_ns: when each SYNC came.
+        make: the frame of an identifier and a content.
     """
 
     def __init__(self, channel: str, bits: int = 32) -> None:
         self.position, self.step, self.mute, self.bits = [0, 0], [0, 0], set[int](), bits
         self.latched_ns: list[int] = []
+        self.make: Callable[[int, bytes], can.Message] = frame
         self._bus = can.Bus(interface="virtual", channel=channel)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -52,7 +54,7 @@ class FakeEncoders:
             self.position = [p + s for p, s in zip(self.position, self.step, strict=True)]
             for k, p in enumerate(self.position):
                 if 10 + k not in self.mute:
-                    self._bus.send(frame(0x18A + k, (p % 2**self.bits).to_bytes(4, "little")))
+                    self._bus.send(self.make(0x18A + k, (p % 2**self.bits).to_bytes(4, "little")))
 
 
 @contextmanager
@@ -178,6 +180,22 @@ def test_one_encoder_that_is_silent_is_told_and_comes_back(channel: str) -> None
         assert first(device) == (0, 0)
 
 
+def test_frames_that_cannot_be_used_are_named_with_what_is_needed(channel: str) -> None:
+    """Oracle: what was sent in the place of the answers: 2 bytes; 4 bytes under a 29-bit identifier; nothing."""
+    with encoders(channel) as fake, driver(channel, timeout_ms=50.0) as device:
+        first(device)
+        fake.make = lambda number, data: frame(number, data[:2])
+        short = "axis X: 18Ah comes with 2 bytes, 4 are needed for map u32; compare map with the device's object 1A00h"
+        assert until(lambda: f"no new positions within 50 ms: what comes is unusable: {short}" in refused(device))
+        fake.make = lambda number, data: frame(number, data, extended=True)
+        long = "axis Z: 18Bh comes as a 29-bit identifier, an 11-bit one is needed; clear bit 29 of the COB-ID"
+        assert until(lambda: long in refused(device))
+        fake.make = frame
+        assert first(device) == (0, 0)
+        fake.mute = {10, 11}
+        assert until(lambda: refused(device).endswith("no new positions within 50 ms (waiting for X, Z)"))
+
+
 def test_the_default_longest_age_follows_the_period_of_reading(channel: str) -> None:
     """Oracle: docs/can.md: a reading is a cycle old. At 21 ms a cycle, all are good; three without an answer are not.
 
@@ -193,7 +211,13 @@ def test_the_default_longest_age_follows_the_period_of_reading(channel: str) -> 
         return 0
 
     with encoders(channel) as fake, CanEncodersDriver(options, MACHINE, clock) as device:
-        reads()
+
+        def starts() -> bool:
+            clock.sleep_until_ns(clock.now_ns() + period_ns)
+            return reads() > 0
+
+        assert until(starts)
+        assert until(lambda: reads() == clock.now_ns() - period_ns)
         for _ in range(20):
             asked_ns = clock.now_ns()
             clock.sleep_until_ns(asked_ns + period_ns)

@@ -74,6 +74,70 @@ def test_one_silent_slave_slows_no_other() -> None:
     assert 1 <= tries < 8
 
 
+def test_a_block_that_is_refused_costs_no_other_block_anything() -> None:
+    """The slave has registers 0 to 40. Oracle: its requests; one block is before the refused one, and one behind it."""
+    register = {
+        "T_bed": {"address": 0, "scale": 0.1},
+        "T_column": {"address": 50, "scale": 0.1},
+        "T_air": {"address": 5, "scale": 0.1, "function": "input"},
+    }
+    peer = FakeSlave(value=lambda _: 200, last=40)
+    table = {"id": 1, "period_s": 0.05, "timeout_s": 0.1, "register": register}
+    with line({1: peer}) as fake, driver(serial=serial(fake.port, longest_retry_s=5.0), slave={"a": table}) as device:
+        seen, oldest_ms = Seen(device), 0.0
+        assert until(lambda: seen["T_bed"] == 20.0 and seen["T_air"] == 20.5)
+        start_ns = CLOCK.now_ns()
+        while CLOCK.now_ns() < start_ns + 1500 * MS:
+            CLOCK.sleep_until_ns(CLOCK.now_ns() + 5 * MS)
+            oldest_ms = max(oldest_ms, seen.age_ms("T_bed"), seen.age_ms("T_air"))
+        why = "T_column: slave 1 (a): holding register 50: error 2: it has no such register; look at address and count"
+        assert device.faults() == [why]
+        assert oldest_ms < 50 + 300  # its period, and what a busy PC adds; the back-off is longer by then
+        asked = peer.addresses.count(50)
+        assert 3 <= asked < peer.addresses.count(0) / 2
+        assert device.attempts == 1
+        peer.last = 60
+        assert until(lambda: seen["T_column"] == 25.0 and device.faults() == [])
+
+
+@pytest.mark.parametrize(("words", "shown"), [((0x0000, 0x41A0), "2.35e-41"), ((0x6666, 0x4214), "2.72e+23")])
+def test_a_float_in_the_wrong_word_order_is_no_temperature(words: tuple[int, int], shown: str) -> None:
+    """Oracle: IEEE 754: 20 °C is 41A00000h, 37.1 °C is 42146666h; here the low word comes first."""
+    peer = FakeSlave(register={100: lambda: words[0], 101: lambda: words[1]})
+    register = {"address": 100, "type": "float32", "scale": 1.0}
+    with line({1: peer}) as fake:
+        table = slave_table(1, "T_bed", register=register)
+        with driver(serial=serial(fake.port), slave={"a": table}) as device:
+            why = f"holding registers 100 to 101: {shown} is no temperature; look at word_order, type and address"
+            assert until(lambda: device.faults() == [f"T_bed: slave 1 (a): {why}"])
+            assert np.isnan(Seen(device)["T_bed"])
+        table = slave_table(1, "T_bed", register={**register, "word_order": "low"})
+        with driver(serial=serial(fake.port), slave={"a": table}) as device:
+            assert until(lambda: 20.0 <= Seen(device)["T_bed"] < 37.11)
+
+
+def test_a_slave_that_refuses_everything_proves_that_the_line_is_good() -> None:
+    """Oracle: its refusals, error 6; the port is opened once. One that answers with function 4 to 3 is named so."""
+    peer = FakeSlave(value=lambda _: 200)
+    with (
+        line({1: peer}) as fake,
+        driver(serial=serial(fake.port), slave={"a": slave_table(1, "T_bed", late_s=0.1)}) as device,
+    ):
+        peer.spoil = lambda _, data: data[:1] + b"\x83\x06" + crc(data[:1] + b"\x83\x06")
+        asked = len(peer.asked_ns)
+        assert until(lambda: len(peer.asked_ns) > asked + 8)
+        assert device.faults() == ["T_bed: slave 1 (a): holding register 0: error 6: it is busy"]
+        peer.spoil = lambda _, data: data[:1] + b"\x04" + data[2:-2] + crc(data[:1] + b"\x04" + data[2:-2])
+        asked = len(peer.asked_ns)
+        assert until(lambda: len(peer.asked_ns) > asked + 6)
+        assert "it answers with function code 4, but 3 was asked" in device.faults()[0]
+        assert "opening" not in device.faults()[0]
+        assert device.attempts == 1
+        peer.silent = True
+        assert until(lambda: any("no answer, within 100 ms; look at id = 1" in f for f in device.faults()))
+        assert until(lambda: device.attempts > 1)
+
+
 @pytest.mark.parametrize("beside", [True, False])
 @pytest.mark.parametrize("delay_s", [0.13, 0.25, 0.45])
 def test_a_late_answer_is_never_taken_for_a_new_one(delay_s: float, beside: bool) -> None:

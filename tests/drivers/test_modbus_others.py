@@ -291,17 +291,26 @@ def test_a_late_tcp_answer_is_told_from_a_new_one_by_its_number() -> None:
     [
         (lambda q: b"\x00\x05" + b"\x09" + q[7:8] + b"\x02\x00\xc8", "unit 9 answered instead; a wrong id"),
         (lambda q: b"\x00\x03" + q[6:8] + b"\x00", "it answers with 2 bytes, 4 are right: another register map?"),
+        (lambda q: b"\x00\x05" + q[6:7] + b"\x04\x02\x00\xc8", "it answers with function code 4, but 3 was asked"),
+        (lambda q: b"\x00\x03" + q[6:7] + b"\x83\x06", "holding register 0: error 6: it is busy"),
+        (lambda q: b"\x00\x03" + q[6:7] + b"\x83\x0a", "the gateway is there, but has no way to this unit; look at id"),
+        (lambda q: b"\x00\x03" + q[6:7] + b"\x83\x0b", "the gateway is there, but the unit behind it does not answer"),
     ],
-    ids=["unit", "length"],
+    ids=["unit", "length", "function", "busy", "no way", "no answer"],
 )
 def test_an_answer_over_tcp_that_is_not_the_one_is_told(answer: Callable[[bytes], bytes], why: str) -> None:
-    """Oracle: MODBUS Messaging on TCP/IP 1.0b, 3.1.3: transaction, protocol, length, unit, function, data."""
+    """Oracle: MODBUS Messaging on TCP/IP 1.0b, 3.1.3: transaction, protocol, length, unit, function, data.
+
+    Whatever the answer, it shows that the connection is good: after several of them it is still the first one.
+    """
+    requests = []
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def serve() -> None:
             connection, _ = listener.accept()
             with connection, suppress(OSError):
                 while len(request := connection.recv(12)) == 12:
+                    requests.append(request)
                     connection.sendall(request[:4] + answer(request))
 
         thread = threading.Thread(target=serve, daemon=True)
@@ -309,7 +318,19 @@ def test_an_answer_over_tcp_that_is_not_the_one_is_told(answer: Callable[[bytes]
         slave = {"id": 1, "period_s": 0.02, "timeout_s": 0.1, "register": {"T_bed": {"address": 0}}}
         with driver(tcp=tcp(listener.getsockname()[1]), slave={"a": slave}) as d:
             assert until(lambda: any(why in f for f in d.faults())), d.faults()
+            assert until(lambda: len(requests) >= 6)
+            assert d.attempts == 1
+            assert not any("opening" in f for f in d.faults())
         thread.join()
+
+
+def test_silence_on_an_open_connection_points_at_the_unit_id() -> None:
+    """Oracle: a server that accepts, reads, and says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        why = "no answer, within 100 ms; the connection is open: look at id = 7"
+        slave = {"id": 7, "period_s": 0.02, "timeout_s": 0.1, "register": {"T_bed": {"address": 0}}}
+        with driver(tcp=tcp(listener.getsockname()[1]), slave={"a": slave}) as d:
+            assert until(lambda: any(why in f for f in d.faults())), d.faults()
 
 
 def test_what_is_no_modbus_is_told() -> None:

@@ -57,6 +57,7 @@ class FakeSlave:
         silent: it does not answer.
         spoil: what becomes of an answer's bytes.
         asked_ns: when it was asked.
+        addresses: first addresses of the requests.
     """
 
     value: Callable[[int], int] = lambda _: 0
@@ -66,6 +67,7 @@ class FakeSlave:
     silent: bool = False
     spoil: Callable[[int, bytes], bytes] = lambda _, data: data
     asked_ns: list[int] = field(default_factory=list)
+    addresses: list[int] = field(default_factory=list)
 
 
 class FakeLine:
@@ -122,6 +124,7 @@ class FakeLine:
             self.unknown.append(frame)
             return
         slave.asked_ns.append(CLOCK.now_ns())
+        slave.addresses.append(int.from_bytes(frame[2:4], "big"))
         if slave.silent:
             return
         k, count, first = len(slave.asked_ns), frame[5], int.from_bytes(frame[2:4], "big")

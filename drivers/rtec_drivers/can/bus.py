@@ -148,15 +148,18 @@ class LongestAge:
 
     Args:
         timeout_ms: as given; None: 2.5 times the period of reading, and 20 ms at least: one late answer is no fault.
+
+    Attributes:
+        period_ns: newest period of reading, ns; 0 before the second reading.
     """
 
     def __init__(self, timeout_ms: float | None) -> None:
-        self._given, self._last_ns, self._period_ns = timeout_ms, 0, 0
+        self._given, self._last_ns, self.period_ns = timeout_ms, 0, 0
 
     def reads(self, now_ns: int) -> int:
         """Note a reading; give the largest age, ns."""
         if self._last_ns and now_ns > self._last_ns:
-            self._period_ns = min(now_ns - self._last_ns, LONGEST_PERIOD_NS)
+            self.period_ns = min(now_ns - self._last_ns, LONGEST_PERIOD_NS)
         self._last_ns = now_ns
         return self.ns
 
@@ -164,7 +167,7 @@ class LongestAge:
     def ns(self) -> int:
         """The largest age, ns."""
         given = self._given
-        return max(SHORTEST_AGE_NS, PERIODS_2 * self._period_ns // 2) if given is None else round(given * 1e6)
+        return max(SHORTEST_AGE_NS, PERIODS_2 * self.period_ns // 2) if given is None else round(given * 1e6)
 
 
 class CanPort:

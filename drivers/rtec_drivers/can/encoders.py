@@ -1,5 +1,6 @@
 """Encoders on a CAN bus (CANopen profile CiA 406, or any with a DBC file) as one count source."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -16,10 +17,13 @@ from rtec.quantities import MillimetresPerSecond
 from rtec.tomlfile import nearest, validated
 from rtec_drivers.can.bus import CanOptions, CanPort, LongestAge
 from rtec_drivers.can.scan import CanScanner
-from rtec_drivers.can.signals import Dbc, NodeOptions, NodeWatch, SignalOptions
+from rtec_drivers.can.signals import Dbc, NodeOptions, NodeWatch, SignalOptions, SignalSource
+from rtec_drivers.can.sync_book import SyncBook
 from rtec_drivers.count_tracker import CountTracker
 
 SYNC = 0x080
+LAST_SHORT = 0x7FF
+"""Largest identifier of 11 bits."""
 Reading = tuple[tuple[int, ...], int, int]
 """Counters of all axes, and the two instants between which they were latched, ns."""
 
@@ -59,8 +63,9 @@ class CanEncodersDriver:
     """Encoders on a CAN bus: the counts of all axes.
 
     With `sync` each reading sends the next SYNC and gives the result of the one before: it is a cycle old, as its
-    instant shows. The next SYNC waits until all encoders have answered the one before, or `timeout_ms` has passed, so
-    no position is assigned to the wrong instant.
+    instant shows. The next SYNC waits until all encoders have answered the one before. Where one does not answer, no
+    reading is given until it is certain which SYNC the next answers belong to (`SyncBook`), so no position is assigned
+    to the wrong instant.
 
     Args:
         options: options of the run file.
@@ -127,13 +132,16 @@ max_speed_mm_s = 500
         self._tracker = CountTracker(names, options.bits, fastest, middle)
         self._nodes = NodeWatch(list(options.node.values()))
         filters = {(s.identifier, s.extended) for s in self._sources} | set(self._nodes.identifiers())
+        # A wrong length of the identifier is to be named, so it must pass the filter.
+        filters |= {(s.identifier, not s.extended) for s in self._sources if s.identifier <= LAST_SHORT}
         self._port = CanPort(options, clock, sorted(filters), self._frame)
         self._pending: dict[int, tuple[int, int]] = {}
+        self._book = SyncBook(len(names))
+        self._unusable = [""] * len(names)
         self._newest: Reading | None = None
         self._used: Reading | None = None
         self._counts: tuple[int, ...] | None = None
-        self._instant_ns = self._sync_ns = -(2**62)
-        self._waiting = False
+        self._instant_ns = -(2**62)
         self._longest = LongestAge(options.timeout_ms)
 
     def __enter__(self) -> Self:
@@ -175,10 +183,10 @@ max_speed_mm_s = 500
             raise DriverFault(self._tracker.lost)
         now_ns = self._clock.now_ns()
         longest_ns = self._longest.reads(now_ns)
-        if self._options.sync:
+        if self._options.sync and self._book.due(now_ns, longest_ns):
             self._send_sync(now_ns)
         if self._counts is None or now_ns - self._instant_ns > longest_ns:
-            raise DriverTimeout(self._silent())
+            raise DriverTimeout(self._silent(now_ns))
         counts[:] = self._counts
         return self._instant_ns
 
@@ -189,47 +197,87 @@ max_speed_mm_s = 500
 
     def _forget(self) -> None:
         self._pending.clear()
+        self._book = SyncBook(len(self._names))
+        self._unusable = [""] * len(self._names)
         self._newest = self._used = self._counts = None
-        self._instant_ns = self._sync_ns = -(2**62)
-        self._waiting = False
+        self._instant_ns = -(2**62)
 
     def _send_sync(self, now_ns: int) -> None:
-        if self._waiting and now_ns - self._sync_ns < self._longest.ns:
-            return
-        self._pending.clear()
-        self._sync_ns, self._waiting = now_ns, True
+        self._book.sent(now_ns)
         try:
             self._port.send(SYNC, b"")
         except DriverError:
-            self._waiting = False
+            self._book.not_sent()
             raise
 
     def _frame(self, identifier: int, extended: bool, data: bytes, now_ns: int) -> None:
         if not extended:
             self._nodes.frame(identifier, data, now_ns)
-        if self._options.sync and not self._waiting:
-            return
+        come = False
         for k, source in enumerate(self._sources):
-            if (source.identifier, source.extended) == (identifier, extended):
-                try:
-                    self._pending[k] = (int(source.number(data)), now_ns)
-                except (DriverFault, ValueError, OverflowError):  # no number: the reading ages and times out
-                    return
-        if len(self._pending) == len(self._sources):
+            if source.identifier != identifier:
+                continue
+            if source.extended == extended:
+                come = self._take(k, source, data, now_ns) or come
+            else:
+                self._unusable[k] = _other_length(source)
+        if come and (not self._options.sync or self._book.whole(now_ns)) and len(self._pending) == len(self._sources):
             self._complete(now_ns)
+
+    def _take(self, k: int, source: SignalSource, data: bytes, now_ns: int) -> bool:
+        """Keep an axis' position; False where it is none, or where no SYNC asked for it."""
+        try:
+            number = int(source.number(data))
+        except (DriverFault, ValueError, OverflowError) as e:  # no number: the reading ages and times out
+            self._unusable[k] = str(e) if isinstance(e, DriverFault) else f"{_identifier(source)}: no number ({e})"
+            return False
+        self._unusable[k] = ""
+        if self._options.sync and not self._book.takes(k, now_ns):
+            return False
+        self._pending[k] = (number, now_ns)
+        return True
 
     def _complete(self, now_ns: int) -> None:
         raw = tuple(self._pending[k][0] for k in range(len(self._sources)))
-        earliest_ns = self._sync_ns if self._options.sync else min(t for _, t in self._pending.values())
+        earliest_ns = self._book.answered_ns if self._options.sync else min(t for _, t in self._pending.values())
         self._newest = (raw, earliest_ns, now_ns)
-        self._pending.clear()
-        self._waiting = False
+        if not self._options.sync:
+            self._pending.clear()
 
-    def _silent(self) -> str:
-        missing = [n for k, n in enumerate(self._names) if k not in self._pending]
-        return (
-            f"can_encoders: no new positions within {self._longest.ns * 1e-6:.3g} ms (waiting for {', '.join(missing)})"
-        )
+    def _silent(self, now_ns: int) -> str:
+        longest_ns = self._longest.ns
+        waiting = f"can_encoders: no new positions within {longest_ns * 1e-6:.3g} ms"
+        unusable = [f"axis {n}: {text}" for n, text in zip(self._names, self._unusable, strict=True) if text]
+        if unusable:
+            return f"{waiting}: what comes is unusable: {'; '.join(unusable)}"
+        late_ns = self._book.late_ns(now_ns, longest_ns)
+        if late_ns:
+            return (
+                f"can_encoders: answers come {late_ns * 1e-6:.3g} ms after SYNC, too late for timeout_ms = "
+                f"{longest_ns * 1e-6:.3g}; set timeout_ms = {self._enough_ms(late_ns)} or more, "
+                "and counts_max_age_s of [guard] above that, or make the encoders answer sooner"
+            )
+        missing = [n for k, n in enumerate(self._names) if self._missing(k)] or self._names
+        return f"{waiting} (waiting for {', '.join(missing)})"
+
+    def _missing(self, k: int) -> bool:
+        return self._book.owes(k) if self._options.sync else k not in self._pending
+
+    def _enough_ms(self, late_ns: int) -> int:
+        """A timeout for answers that come this late: a reading is used until the one after it has come."""
+        return math.ceil((2 * late_ns + 3 * self._longest.period_ns) * 1e-6)
+
+
+def _identifier(source: SignalSource) -> str:
+    return f"{source.identifier:X}h"
+
+
+def _other_length(source: SignalSource) -> str:
+    came, needed = ("an 11-bit", "a 29-bit") if source.extended else ("a 29-bit", "an 11-bit")
+    way_out = (
+        "look at the DBC file" if source.extended else "clear bit 29 of the COB-ID in the device's object 1800h ff."
+    )
+    return f"{_identifier(source)} comes as {came} identifier, {needed} one is needed; {way_out}"
 
 
 def _span(axis: Axis) -> float:

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError, DriverFault, DriverUnavailable
 from rtec.tomlfile import Strict, nearest
+from rtec.wording import counted
 
 ObjectType = Literal["i8", "u8", "i16", "u16", "i24", "u24", "i32", "u32", "i64", "u64", "f32", "f64"]
 PDO_IDS = {1: 0x180, 2: 0x280, 3: 0x380, 4: 0x480}
@@ -156,7 +157,10 @@ def _pdo_source(options: SignalOptions) -> SignalSource:
 
     def number(data: bytes) -> float:
         if len(data) < end:
-            raise DriverFault(f"PDO {identifier:#x} has {len(data)} bytes, the map needs {end}: another mapping?")
+            raise DriverFault(
+                f"{identifier:X}h comes with {counted(len(data), 'byte')}, {end} are needed for map "
+                f"{', '.join(options.map[: options.item])}; compare map with the device's object 1A0{options.pdo - 1}h"
+            )
         part = data[start:end]
         if kind in ("f32", "f64"):
             return float(struct.unpack("<f" if kind == "f32" else "<d", part)[0])

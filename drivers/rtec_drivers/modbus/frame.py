@@ -31,8 +31,8 @@ ERRORS = {
     3: "it does not like the count",
     4: "it has failed",
     6: "it is busy",
-    10: "the gateway has no way to it",
-    11: "the gateway got no answer from it",
+    10: "the gateway is there, but has no way to this unit; look at id, and at the gateway's table of units",
+    11: "the gateway is there, but the unit behind it does not answer; look at id, and at the unit's supply and wiring",
 }
 _DECODER = DecodePDU(is_server=False)
 _RTU, _TCP = FramerRTU(_DECODER), FramerSocket(_DECODER)
@@ -47,6 +47,14 @@ class ModbusRequest:
     function: int
     address: int
     count: int
+
+    @property
+    def place(self) -> str:
+        """The registers, for people."""
+        kind = "holding" if self.function == HOLDING else "input"
+        if self.count == 1:
+            return f"{kind} register {self.address}"
+        return f"{kind} registers {self.address} to {self.address + self.count - 1}"
 
     def _pdu(self) -> ReadHoldingRegistersRequest | ReadInputRegistersRequest:
         kind = ReadHoldingRegistersRequest if self.function == HOLDING else ReadInputRegistersRequest
@@ -125,13 +133,30 @@ def why_not(data: bytes, request: ModbusRequest) -> str:
     others = sorted({slave for slave, _ in frames_of_slaves(data)} - {request.slave})
     if others:
         return f"slave {', '.join(map(str, others))} answered instead; two slaves with one number, or a wrong id?"
-    if any(slave == request.slave for slave, _ in frames_of_slaves(data)):
+    functions = {frame[1] & ~ERROR_BIT for slave, frame in frames_of_slaves(data) if slave == request.slave}
+    if functions and request.function not in functions:
+        return _other_function(functions.pop(), request)
+    if functions:
         return "it answered something that was not asked; perhaps an older request"
     if data[:1] == bytes([request.slave]) and len(data) >= 5 + 2 * request.count:
         return "the answer's checksum is wrong; look at cable, shield and termination"
     if data[:1] == bytes([request.slave]) and len(data) > 1:
         return f"only {len(data)} of {5 + 2 * request.count} bytes of an answer came"
     return f"{len(data)} bytes that are no answer; look at baud rate, parity and wiring"
+
+
+def _other_function(function: int, request: ModbusRequest) -> str:
+    return (
+        f"it answers with function code {function}, but {request.function} was asked; try the other function "
+        '("holding" is 3, "input" is 4), or ask the maker'
+    )
+
+
+def _odd(content: bytes, request: ModbusRequest) -> str:
+    """Describe an answer, function code and content, that is none to the request."""
+    if content and content[0] & ~ERROR_BIT != request.function:
+        return _other_function(content[0], request)
+    return f"it answers with {len(content)} bytes, {2 + 2 * request.count} are right: another register map?"
 
 
 def split_tcp(data: bytes) -> tuple[list[tuple[int, int, bytes]], bytes] | None:
@@ -169,6 +194,14 @@ class Exchange(Protocol):
         """Describe the bytes that came instead of the answer that was asked for last."""
         ...
 
+    def proves_line(self, data: bytes) -> bool:
+        """Do the bytes that came instead show that the line is good?"""
+        ...
+
+    def if_silent(self, slave: int) -> str:
+        """What to look at where nothing came."""
+        ...
+
 
 class RtuExchange:
     """On a serial line, or on a TCP connection that carries a serial line's frames.
@@ -201,6 +234,14 @@ class RtuExchange:
         """Describe the bytes that came instead of the answer."""
         return why_not(data, request)
 
+    def proves_line(self, data: bytes) -> bool:
+        """Is there a frame with a correct checksum among them?"""
+        return any(True for _ in frames_of_slaves(data))
+
+    def if_silent(self, slave: int) -> str:
+        """What to look at where nothing came."""
+        return f"look at id = {slave} (has the module this number?), baud rate, parity, wires A and B, and its supply"
+
 
 class TcpExchange:
     """On a TCP connection: the answer has the number of its request, so an old one is never accepted."""
@@ -228,9 +269,7 @@ class TcpExchange:
                     continue
                 if unit == request.slave and answer is not None:
                     return answer, noise
-                self._odd = (
-                    f"it answers with {len(content)} bytes, {2 + 2 * request.count} are right: another register map?"
-                )
+                self._odd = _odd(content, request)
                 if unit != request.slave:
                     self._odd = f"unit {unit} answered instead; a wrong id, or a gateway that puts in its own?"
         return None, noise
@@ -239,6 +278,14 @@ class TcpExchange:
         """Describe what came instead of the answer: with its number, or with older ones only."""
         del request
         return self._odd or ("it answers only earlier requests; raise timeout_s" if data else "no answer")
+
+    def proves_line(self, data: bytes) -> bool:
+        """Did anything come? What is no Modbus ends the connection."""
+        return bool(data)
+
+    def if_silent(self, slave: int) -> str:
+        """What to look at where nothing came."""
+        return f"the connection is open: look at id = {slave} (the unit id of the device), or raise timeout_s"
 
 
 TCP_PORT = 502

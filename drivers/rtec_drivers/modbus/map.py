@@ -1,5 +1,6 @@
 """Register maps: the place of each number in a slave, its type, and the reads that fetch all numbers."""
 
+import math
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from rtec_drivers.modbus.frame import HOLDING, INPUT, MAX_REGISTERS, ModbusReque
 from rtec_drivers.temperatures import Conversion, open_code_faults
 
 LAST_ADDRESS = 65535
+LEAST_FLOAT, LARGEST_FLOAT = 1e-12, 1e6
+"""Magnitudes between which a measured number is; 20 °C with its registers in the wrong order is 2e-41."""
 NumberType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64"]
 _STRUCT = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f", "float64": ">d"}
 
@@ -45,6 +48,13 @@ class Register(Conversion):
             if fault:
                 raise ValueError(fault)
         return self
+
+    def absurd(self, number: float) -> bool:
+        """Is it a float as registers in the wrong order give, rather than a measured number or an open code?"""
+        if not self.type.startswith("float") or number == 0.0 or not math.isfinite(number):
+            return False
+        known = any(math.isclose(number, code, rel_tol=1e-6) for code in self.open_codes)
+        return not known and not LEAST_FLOAT < abs(number) < LARGEST_FLOAT
 
     @property
     def words(self) -> int:
@@ -82,11 +92,18 @@ class Block:
     request: ModbusRequest
     numbers: tuple[tuple[str, Register], ...]
 
-    def raw(self, registers: tuple[int, ...]) -> Iterable[tuple[str, float]]:
-        """Name and raw number of each."""
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its numbers."""
+        return tuple(name for name, _ in self.numbers)
+
+    def raw(self, registers: tuple[int, ...]) -> Iterable[tuple[str, float, str]]:
+        """Name and raw number of each, and why it is none that was measured, or ""."""
         for name, register in self.numbers:
             start = register.address - self.request.address
-            yield name, register.number(registers[start : start + register.words])
+            number = register.number(registers[start : start + register.words])
+            why = f"{number:.3g} is no temperature; look at word_order, type and address"
+            yield name, number, why if register.absurd(number) else ""
 
 
 def profile_names() -> list[str]:

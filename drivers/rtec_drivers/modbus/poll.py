@@ -9,6 +9,9 @@
 - A slave that has answered each of its last requests owes no answer. If its number is in bytes that come when another
   slave was asked, a third device uses its number: the fault is reported for the other slave, and its own values stay
   as fresh as before.
+- A block that the slave refuses (an exception) is asked again after a back-off of its own; all others are read as
+  before. A refusal is an answer: the line is good, and is not reopened. Only a gateway's report that the slave does not
+  answer counts as the slave's silence.
 - A damaged answer (checksum) is requested again in the next period; three in a row count as silence.
 """
 
@@ -26,6 +29,8 @@ from rtec_drivers.temperatures import TemperatureReadings
 STARVED_NS = 5 * NS
 LONGEST_LATE_NS = 10 * NS
 NEVER_NS = 3600 * NS
+GATEWAY_ERRORS = (10, 11)
+"""A gateway answers, but not the slave behind it."""
 LISTEN_NS = NS // 20
 FRAME_PAUSE_NS = NS // 50
 """Upper limit of a pause within a frame, even behind a USB adapter."""
@@ -33,6 +38,21 @@ CORRUPT_IN_A_ROW = 3
 SILENT_IN_A_ROW = 3
 IN_STEP = 3
 """Requests answered in a row, after which any other bytes are no late answer to an earlier one."""
+
+
+@dataclass
+class Asking:
+    """When to ask for a block.
+
+    Attributes:
+        block: the read.
+        backoff: waits after a refusal.
+        not_before_ns: the slave refused it; it is not asked before.
+    """
+
+    block: Block
+    backoff: Backoff
+    not_before_ns: int = 0
 
 
 @dataclass
@@ -48,6 +68,7 @@ class Slave:
         unanswered_ns: instant of its last request that may still be unanswered; 0: none.
         pause_ns: longest pause between two such consecutive requests.
         in_row: number of requests answered in time, one after the other.
+        unheard: number of requests in a row to which nothing came that proves a good line.
     """
 
     name: str
@@ -64,10 +85,13 @@ class Slave:
     pause_ns: int = 0
     probation: bool = False
     in_row: int = 0
+    unheard: int = 0
     names: tuple[str, ...] = field(init=False)
+    asking: tuple[Asking, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.names = tuple(name for block in self.blocks for name, _ in block.numbers)
+        self.names = tuple(name for block in self.blocks for name in block.names)
+        self.asking = tuple(Asking(block, self.backoff.another()) for block in self.blocks)
 
     @property
     def failing(self) -> bool:
@@ -98,7 +122,7 @@ class Slave:
     def line_opened(self, now_ns: int) -> None:
         """Ask it at once, unless an old answer may still come."""
         self.due_ns = max(now_ns, self.unanswered_ns + self.late_ns) if self.unanswered_ns else now_ns
-        self.silent = self.in_row = 0
+        self.silent = self.in_row = self.unheard = 0
 
     def lives(self, asked_ns: int, now_ns: int) -> None:
         """It answers again, but perhaps an older request: wait whether more is on its way."""
@@ -153,7 +177,7 @@ class Poller:
             self._ask(line, chosen)
             if not chosen.failing:
                 worker.backoff.reset()
-            if all(s.silent >= SILENT_IN_A_ROW for s in self._slaves):
+            if all(s.unheard >= SILENT_IN_A_ROW for s in self._slaves):
                 raise DriverTimeout(f"{self._why}; no other slave answers either; opening the line again")
 
     def choose(self, now_ns: int) -> tuple[Slave | None, int]:
@@ -171,27 +195,46 @@ class Poller:
         return None, min(next_ns, *later) if failing else next_ns
 
     def _ask(self, line: ByteLine, slave: Slave) -> None:
-        for block in slave.blocks:
-            asked_ns = self._clock.now_ns()
-            self.requests += 1
-            answer, data = self._exchange.ask(line, block.request, asked_ns + slave.timeout_ns)
-            self._look_for_late(data, slave)
-            if answer is None:
-                self._no_answer(slave, block, data, asked_ns)
+        requests = self.requests
+        for asking in slave.asking:
+            if asking.not_before_ns <= self._clock.now_ns() and not self._reads(line, slave, asking):
                 return
-            if answer.error:
-                self._refused(slave, answer.error, asked_ns)
-                return
-            if slave.probation and not self._exchange.numbered:
-                slave.lives(asked_ns, self._clock.now_ns())
-                return
-            for name, raw in block.raw(answer.registers):
+        if self.requests > requests:
+            slave.answered(self._clock.now_ns())
+        else:
+            slave.due_ns = min(asking.not_before_ns for asking in slave.asking)
+
+    def _reads(self, line: ByteLine, slave: Slave, asking: Asking) -> bool:
+        """Ask for a block; False where the slave's other blocks must wait."""
+        block, asked_ns = asking.block, self._clock.now_ns()
+        self.requests += 1
+        answer, data = self._exchange.ask(line, block.request, asked_ns + slave.timeout_ns)
+        self._look_for_late(data, slave)
+        if answer is None:
+            self._no_answer(slave, block, data, asked_ns)
+            return False
+        slave.unheard = 0
+        if answer.error in GATEWAY_ERRORS:
+            self._behind_gateway(slave, answer.error, asked_ns)
+            return False
+        if slave.probation and not self._exchange.numbered:
+            slave.lives(asked_ns, self._clock.now_ns())
+            return False
+        if answer.error:
+            self._refused(slave, asking, answer.error)
+            return True
+        asking.backoff.reset()
+        for name, raw, why in block.raw(answer.registers):
+            if why:
+                self._readings.silent([name], f"slave {slave.number} ({slave.name}): {block.request.place}: {why}")
+            else:
                 self._readings.take(name, raw, asked_ns)
-        slave.answered(self._clock.now_ns())
+        return True
 
     def _no_answer(self, slave: Slave, block: Block, data: bytes, asked_ns: int) -> None:
         now_ns = self._clock.now_ns()
         why = self._exchange.why_not(data, block.request)
+        slave.unheard = 0 if self._exchange.proves_line(data) else slave.unheard + 1
         if data[:1] == bytes([slave.number]) and slave.corrupt + 1 < CORRUPT_IN_A_ROW:
             slave.corrupt += 1
             slave.due_ns = now_ns + slave.period_ns
@@ -199,13 +242,20 @@ class Poller:
         slave.was_silent(asked_ns, now_ns)
         within_ms = slave.timeout_ns // 1_000_000
         self._why = f"slave {slave.number} ({slave.name}): {why}, within {within_ms} ms"
+        if not data:
+            self._why += f"; {self._exchange.if_silent(slave.number)}"
         self._readings.silent(slave.names, self._why)
 
-    def _refused(self, slave: Slave, error: int, asked_ns: int) -> None:
+    def _behind_gateway(self, slave: Slave, error: int, asked_ns: int) -> None:
         slave.was_silent(asked_ns, self._clock.now_ns())
         slave.unanswered_ns = 0
-        self._why = f"slave {slave.number} ({slave.name}): error {error}: {ERRORS.get(error, 'it refuses')}"
-        self._readings.silent(slave.names, self._why)
+        self._readings.silent(slave.names, f"slave {slave.number} ({slave.name}): error {error}: {ERRORS[error]}")
+
+    def _refused(self, slave: Slave, asking: Asking, error: int) -> None:
+        asking.not_before_ns = self._clock.now_ns() + asking.backoff.next_ns()
+        why = f"error {error}: {ERRORS.get(error, 'it refuses')}"
+        place = asking.block.request.place
+        self._readings.silent(asking.block.names, f"slave {slave.number} ({slave.name}): {place}: {why}")
 
     def _idle(self, line: ByteLine, worker: Worker[ByteLine], wake_ns: int) -> None:
         """Wait for the next turn; while an old answer may come, listen, to learn its delay."""
