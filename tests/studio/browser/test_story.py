@@ -138,7 +138,7 @@ HIDDEN_READINGS = """() => [...document.querySelectorAll(".chart")]
 
 
 def test_undo_and_redo_move_along_the_staircase(story: Watched) -> None:
-    """Oracle: the lead of the page, which names the effect only while it is in the model; every reading is on screen."""
+    """Oracle: the page's lead, which names the effect only while it is in the model. Every reading is on screen."""
     page = story.page
     page.get_by_role("button", name="Undo").click()
     page.get_by_role("button", name="Save", exact=True).wait_for(state="detached")
