@@ -17,7 +17,6 @@ from pydantic.fields import FieldInfo
 
 from rtec.errors import ConfigError, RtecError
 from rtec.text import clean
-from rtec.wording import counted
 
 M = TypeVar("M", bound=BaseModel)
 MAX_BYTES = 64 * 1024 * 1024
@@ -203,7 +202,7 @@ def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str, items: S
         *list_loc, _ = item["loc"]
         there, needed = len(item["input"]), max(i["loc"][-1] for i in items if [*i["loc"][:-1]] == list_loc) + 1
         name = str(loc[-1]).rpartition("[")[0]
-        return f"{source}: {_section(loc[:-1])}{name}: has {counted(there, 'value')}, and {needed} are needed"
+        return f"{source}: {_section(loc[:-1])}{name}: has {there} value{'s' * (there != 1)}, and {needed} are needed"
     if item["type"] == "missing":
         return f"{source}: {_section(loc[:-1])}key {str(loc[-1])!r} is missing"
     if item["type"] == "model_type":
