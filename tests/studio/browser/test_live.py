@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,15 +10,7 @@ import pytest
 from rtec.control.client import Client, DaemonPlace
 from rtec.control.facts import um_text
 from rtec.control.places import of_config
-from rtec.control.server import Control
-from rtec.correction.flags import Flag
-from rtec.loop.clock import RealClock
-from rtec.loop.orders import Order
-from rtec.loop.ports import HOLDS
-from rtec.loop.run_file import Setup
 from tests.studio.studio_rig import Watched, live_config, needs_browser, running_daemon, running_studio, tab
-from tests.support import setups
-from tests.support.control_rig import FakeDaemon
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -131,37 +122,3 @@ def test_without_the_role_there_are_no_buttons(browser: "Browser", config: Path,
         page = tab(browser, studio.address).page
         page.get_by_text("--role operate").wait_for()
         assert page.get_by_role("button", name="Hold").count() == 0
-
-
-class _Waiting(FakeDaemon):
-    """A daemon whose box restarted; it goes on when that is ordered."""
-
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self.status = replace(self.status, devices={"box": [f"the box restarted; {HOLDS}"]}, flags=Flag.HELD)
-
-    def order(self, order: Order, text: str = "", who: str = "local") -> str:
-        """Carry it out."""
-        done = super().order(order, text, who)
-        self.status = replace(self.status, devices={}, flags=Flag(0), takeovers=1)
-        self.note(str(order), text)
-        return done
-
-
-@pytest.mark.usefixtures("runtime_folder")
-def test_resume_is_offered_only_while_it_is_waited_for(browser: "Browser", tmp_path: Path) -> None:
-    """Oracle: the orders that a daemon gets over its socket; there is no button once it goes on."""
-    setup = setups.setup(tmp_path)
-    daemon = _Waiting(setup)
-    with (
-        Control(setup, daemon, RealClock()),
-        running_studio(tmp_path, "--attach", str(setup.path), "--role", "operate") as studio,
-    ):
-        page = tab(browser, studio.address).page
-        page.get_by_role("button", name="Resume", exact=True).click()
-        page.get_by_text("Let the devices go on from where they are?").wait_for()
-        assert daemon.orders == []
-        page.get_by_role("alertdialog").get_by_role("button", name="Resume", exact=True).click()
-        page.get_by_text("the devices go on from where they are").wait_for()
-        page.get_by_role("button", name="Resume", exact=True).wait_for(state="detached")
-        assert [order for order, _, _ in daemon.orders] == [Order.RESUME]
