@@ -109,7 +109,8 @@ def test_every_fault_of_every_device_is_told_at_once(tmp_path: Path) -> None:
     assert texts(by_name["box"]) == []
     assert texts(by_name["bed"]) == [
         "T_air: open circuit: the device sent 32767; look at the sensor and its wires",
-        "T_carriage, T_x_nut: slave 3 (c): no answer, within 500 ms",
+        "T_carriage, T_x_nut: slave 3 (c): no answer, within 500 ms; look at id = 3 (has the module this number?), "
+        "baud rate, parity, wires A and B, and its supply",
     ]
     assert [v.value for v in by_name["bed"].values] == [21.5]
     assert texts(by_name["gone"]) == ["/dev/ttyUSB7: no such port; plug it in, or name another; trying again"]
