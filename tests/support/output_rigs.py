@@ -574,6 +574,10 @@ class _Hal(types.ModuleType):
 
         return Stream()
 
+    def get_value(self, name: str) -> float:
+        """No pin but its own: there is no limit3."""
+        raise RuntimeError(f"{name} not found")
+
     def pin_has_writer(self, _name: str) -> bool:
         return False
 

@@ -41,6 +41,7 @@ STANDS_NS = 20_000_000
 ENDS_NS = 10_000_000_000
 AGAIN_S = 0.2
 MM_PER_INCH = 25.4
+LONGEST_UM = 1e6
 SESSION = "rtec-session-"
 SHOWN = re.compile(r"^\S+\s+\S+\s+(?:IN|OUT|I/O)\s+\S+\s+(\S+)(?:\s+(?:==>|<==|<=>)\s+(\S+))?\s*$")
 
@@ -282,11 +283,11 @@ class HalBridge:
 
     def most_um(self, axis: str) -> float:
         """The largest output of an axis: the option's, or that of its limit3 as docs/linuxcnc.md names it."""
-        most = self.options.max_um if self.options.actuator != "pulse" else 1e9
+        most = min(self.options.max_um, LONGEST_UM) if self.options.actuator != "pulse" else LONGEST_UM
         for pin, sign in (("max", 1.0), ("min", -1.0)):
             with contextlib.suppress(RuntimeError):  # no such pin: nothing limits it there
                 most = min(most, sign * hal.get_value(f"rtec-limit-{axis.lower()}.{pin}") * self.mm * 1e3)
-        return most
+        return max(most, 0.0)
 
     def take(self) -> bool:
         """Receive one message from the client, if there is one, and answer it at once; return whether there was one."""

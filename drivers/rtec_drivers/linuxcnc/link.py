@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
-from rtec.quantities import MicrometresPositive
+from rtec.quantities import MicrometresNotNegative, MicrometresPositive
 from rtec.tomlfile import Strict
 
 MAX_BYTES = 1 << 16
@@ -30,7 +30,7 @@ class BridgeHello(Strict):
     actuator: str
     unit_um: MicrometresPositive
     component: str
-    max_um: tuple[float, ...] = ()
+    max_um: tuple[MicrometresNotNegative, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
