@@ -71,10 +71,9 @@ def _head(session: TabSession) -> None:
 
 
 def _tiles(series: Sequence[SeriesView], shown: SeriesView, numbers: Sequence[tuple[str, str]]) -> None:
-    """Large numbers of the chosen reading column, under its name where there are several."""
-    if len(series) > 1:
-        Words("h2", shown.name)
-    tiles(numbers)
+    """Large numbers of the chosen reading column; the first names it where there are several."""
+    (first, meaning), *others = numbers
+    tiles([(first, f"{meaning} in {clean(shown.name)}" if len(series) > 1 else meaning), *others])
 
 
 def _tail(session: TabSession) -> None:
