@@ -45,6 +45,8 @@ SAME_ARMS = 1e-9
 """Lever arms whose cosine is this near to one are the same but for a factor."""
 LETTERS, OF_AN_AXIS = 3, ("nut", "screw", "scale", "motor", "fix", "bearing")
 """Fewest letters of a part's name that the name of its sensor has; what a sensor of an axis may be on."""
+STRETCHES, PASSED = 4, 0.03
+"""A temperature was read on the way where each of so many equal parts of its range has this share of the readings."""
 MOST = 48
 """Combinations of non-linear parameters in the grid, at most."""
 REAL = {"degc": 0.3, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
@@ -356,10 +358,18 @@ def _candidate(effect: Effect, readings: Readings) -> EffectCandidate | None:
         effect.check(readings.machine, "diagnose")
     except ModelError:
         return None
+    if isinstance(effect, AxisExpansion) and effect.stretched and not _warms_through(readings.channel(effect.sensor)):
+        return None
     parameters = within_record(effect, readings.measurements)
     if isinstance(effect, CyclicPole) and _fold_mm(readings) > 0.0:
         parameters = [replace(p, high=min(p.high, PITCH_MM)) for p in parameters]
     return EffectCandidate(effect, tuple(_thetas(parameters, readings)))
+
+
+def _warms_through(degc: Floats) -> bool:
+    """Whether a temperature was read on the way from cold to warm: a cold and a warm run show no kink between them."""
+    edges = np.linspace(float(np.nanmin(degc)), float(np.nanmax(degc)), STRETCHES + 1)
+    return bool((np.histogram(degc[np.isfinite(degc)], edges)[0] >= PASSED * len(degc)).all())
 
 
 def _thetas(parameters: Sequence[Parameter], readings: Readings) -> Iterator[Mapping[str, float]]:

@@ -23,7 +23,7 @@ SENSOR, AXIS = st.sampled_from(MACHINE.sensor_names), st.sampled_from(MACHINE.ax
 DEGREES = st.lists(st.integers(1, 9), min_size=1, max_size=4, unique=True)
 FIELDS: dict[str, st.SearchStrategy[Any]] = {
     "axis": AXIS, "other": AXIS, "across": AXIS, "sensor": SENSOR, "front": SENSOR, "back": SENSOR,
-    "grows_with": st.none() | SENSOR, "lag": st.booleans(), "builds_up": st.booleans(),
+    "grows_with": st.none() | SENSOR, "lag": st.booleans(), "stretched": st.booleans(), "builds_up": st.booleans(),
     "degree": st.integers(0, 6), "harmonics": st.integers(1, 16), "degrees": DEGREES,
     "knots_mm": st.lists(FLOATS, min_size=2, max_size=9, unique=True).map(sorted),
     "lambda_mm": st.floats(1e-6, 5.0), "fixed_mm": FLOATS,

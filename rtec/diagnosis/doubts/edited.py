@@ -247,9 +247,9 @@ def _other_sensor_does(judged: Judgement, found: Edit) -> bool:
         without = judged.left + own
         for name in others:
             by = effect.model_copy(update={"sensor": name})
-            late = [_columns(judged, by, {p.name: v}) for p in by.nonlinear(machine) for v in p.grid]
+            late = [_columns(judged, by, {**fitted.theta, p.name: v}) for p in by.nonlinear(machine) for v in p.grid]
             at_once = by.model_copy(update={"lag": False}) if getattr(by, "lag", False) else by
-            for columns in [_columns(judged, at_once), *late]:
+            for columns in [_columns(judged, at_once, fitted.theta), *late]:
                 if judged.pooled(without - columns @ solve(columns, without)) < enough:
                     return True
     return False
@@ -365,7 +365,7 @@ def _delay_does(judged: Judgement, found: Edit) -> bool:
     own, sensors = floor.cleaned(readings, judged.base.columns), set(machine.sensor_names)
     for effect in (c.effect for c in library(readings)[0]):
         delays = effect.nonlinear(machine)
-        if not sensors & set(effect.channels(machine)) or len(delays) > 1:
+        if not sensors & set(effect.channels(machine)) or len(delays) > 1 or any(p.unit != "s" for p in delays):
             continue
         thetas = [{p.name: v} for p in delays for v in p.grid] or [{}]
         columns = [_columns(judged, effect, t) for t in thetas]
