@@ -145,10 +145,10 @@ class AxisExpansion(OneSensor, AxisEffect):
         feet = dict.fromkeys((0.0, low, 0.5 * (low + high), high))
         for lag, sensor, fixed in itertools.product((False, True), around.sensors, feet):
             yield {"axis": around.moved.name, "sensor": sensor, "fixed_mm": fixed, "lag": lag}
-        for lag, sensor in itertools.product((False, True), around.sensors):
+        for sensor in around.sensors:
             low_degc, high_degc = around.channels[sensor]
             if high_degc - low_degc >= STRETCHED_K:
-                yield {"axis": around.moved.name, "sensor": sensor, "lag": lag, "stretched": True}
+                yield {"axis": around.moved.name, "sensor": sensor, "stretched": True}
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`(q - q_fix)` in m times `ΔT`, or times the rise above `T0`."""

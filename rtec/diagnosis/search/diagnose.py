@@ -79,6 +79,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.visible import read_directly
+from rtec.estimation.warmth import EXPANDS
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
@@ -117,6 +118,8 @@ SEEN = 1e-3
 """A column of which those of the model describe all but this share says nothing."""
 OFF_K = 0.5
 """Largest difference, K, that the readings of one thermocouple may have between two files for no reason."""
+TIGHT = 0.5
+"""Below the temperature at which it is slack, a stretched screw grows less than this share of what it does above."""
 DRAWS = 400
 
 
@@ -281,9 +284,12 @@ class Search:
 
     def without(self, channels: Collection[str]) -> "Search":
         """The same search among the effects that read none of some channels."""
+        return self._among(lambda effect: not set(channels) & set(effect.channels(self.model.machine)))
+
+    def _among(self, may_be: Callable[[Effect], bool]) -> "Search":
+        """The same search among some effects."""
         other = Search(*self._asked, earlier=self._earlier)
-        machine = self.model.machine
-        other.candidates = [c for c in other.candidates if not set(channels) & set(c.effect.channels(machine))]
+        other.candidates = [c for c in other.candidates if may_be(c.effect)]
         other.refits = Refits(other.prepared, other.candidates, other.stage)
         return other
 
@@ -294,6 +300,9 @@ class Search:
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
         refitted, accepted = self._in_order(found, p)
+        bar = self._prior_odds + SURE
+        if any(t.log_evidence > bar and not self._of_a_material(t) for t in refitted):
+            return self._among(lambda effect: not getattr(effect, "stretched", False)).diagnosis()
         best = refitted[0] if refitted else None
         accepted = accepted and not self._of_few_targets(refitted[0])
         named, share, unknown = self._adequate(best if accepted else None)
@@ -436,6 +445,18 @@ class Search:
         near = (t for t in refitted if (few or t.holds) and refitted[0].log_evidence - t.log_evidence < WITHIN)
         first = next((t for t in near if not self._beyond_materials(t)), refitted[0])
         return [first, *(t for t in refitted if t is not first)]
+
+    def _of_a_material(self, t: Refitted) -> bool:
+        """Whether a candidate may be what it says: a kink in another curve is no screw that is slack from there on.
+
+        Below that temperature a screw hardly grows, and above it no more than a material does.
+        """
+        effect, values = self.candidates[t.number].effect, t.fit.values
+        if not getattr(effect, "stretched", False):
+            return True
+        slack = abs(float(values[self.prepared.base.shape[1]]))
+        below = sum(abs(float(values[i])) for i, n in enumerate(self.judged.base.names) if n == f"{effect.label} k")
+        return slack <= EXPANDS and below < TIGHT * slack
 
     def _beyond_materials(self, t: Refitted) -> Doubt | None:
         effect, width = self.candidates[t.number].effect, self.prepared.base.shape[1]
