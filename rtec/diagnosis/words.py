@@ -10,6 +10,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member
+from rtec.effects import Effect
 from rtec.effects.time_data import MissedCounts
 from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import minutes
@@ -321,7 +322,7 @@ def _missing(d: Diagnosis, unit: str) -> str:
     f = d.findings[0]
     if f.partner is not None:
         both = zip([f, f.partner], labels([f, f.partner]), strict=True)
-        one, other = (with_period(name, t.theta) for t, name in both)
+        one, other = (in_full(name, t.effect, t.theta) for t, name in both)
         return (
             f"{one} and {other} are missing together, neither lowers the error on held-out runs alone: adding "
             f"both removes {percent(f.heldout_drop)} of the held-out mean square error{other_parts(f)}"
@@ -329,16 +330,16 @@ def _missing(d: Diagnosis, unit: str) -> str:
     removes = f"removes {percent(f.heldout_drop)} of the held-out mean square error"
     if f.heldout_drop <= 0.0:  # held-out runs are predicted better about the mean of each
         removes = "does not lower the error on held-out runs, most of which is between runs"
-    stretched = getattr(f.effect, "stretched", False)
-    slack = f" of a stretched screw, slack from {f.theta['T0']:.1f} °C on," if stretched else ""
     return (
-        f"{with_period(f.label, f.theta)}{slack} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
+        f"{in_full(f.label, f.effect, f.theta)} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
         f"and adding it {removes}{_same_jump(f)}{_form_and_more(d)}{other_parts(f)}"
     )
 
 
-def with_period(label: str, theta: Mapping[str, float]) -> str:
-    """The name of an effect, and the period of a wave along an axis where the name has none."""
+def in_full(label: str, effect: Effect, theta: Mapping[str, float]) -> str:
+    """The name of an effect, with what a name does not tell: the period of a wave, the kink of a stretched screw."""
+    if getattr(effect, "stretched", False):
+        return f"{label} of a stretched screw that is slack from {theta['T0']:.1f} °C on"
     key = next((n for n in ("period", "pitch") if n in theta), None)
     if key is None or f", {key} " in label:
         return label
@@ -380,7 +381,7 @@ def _together(d: Diagnosis) -> str:
     apart = min(falls) >= 0.0 and len(falls) <= FEW
     parts = []
     labelled = zip(d.together, labels([m.fitted for m in d.together]), strict=True)
-    names = [with_period(name, m.fitted.theta) for m, name in labelled]
+    names = [in_full(name, m.fitted.effect, m.fitted.theta) for m, name in labelled]
     members = list(zip(d.together, names, falls, strict=True))
     for m, name, fall in sorted(members, key=lambda t: -t[2]) if min(falls) >= 0.0 else members:
         removes = [f"{percent(fall)} of the held-out mean square error"] if apart else []

@@ -68,7 +68,7 @@ class OneSensor(Effect):
 
 
 STRETCHED_K = 2.0
-"""A sensor must change by this much before a temperature within its range can be told at which a screw is slack."""
+"""A sensor that changes by less shows no temperature at which a screw gets slack."""
 PART_OF_RANGE = 0.15
 """That temperature lies at least this share of the range away from either end: near an end nobody sees it."""
 

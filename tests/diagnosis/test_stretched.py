@@ -4,6 +4,7 @@ Below the temperature at which it is slack, its expansion only lowers its tensio
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,7 +90,8 @@ def test_a_screw_that_only_grows_is_not_stretched(seed: int) -> None:
 def test_the_answer_says_from_which_temperature_on() -> None:
     found = diagnose(empty(), [day(1, 4.0 * PER_K)], draws=50)
     said = re.match(
-        r"axis_expansion\(EXX, X, T_x_nut\) of a stretched screw, slack from (\S+) °C on, is missing", found.sentence
+        r"axis_expansion\(EXX, X, T_x_nut\) of a stretched screw that is slack from (\S+) °C on is missing",
+        found.sentence,
     )
     assert said
     assert float(said[1]) == pytest.approx(COLD_DEGC + 4.0, abs=0.3)
@@ -100,3 +102,12 @@ def test_a_model_from_before_keeps_its_text() -> None:
     plain = {"effect": "axis_expansion", "component": "EXX", "axis": "X", "sensor": "T_x_nut"}
     assert "stretched" not in kind.model_validate(plain).model_dump()
     assert kind.model_validate({**plain, "stretched": True}).model_dump()["stretched"] is True
+
+
+def test_beside_another_effect_the_answer_says_so_as_well() -> None:
+    """A scale error is missing, too."""
+    day_ = day(1, 4.0 * PER_K)
+    more = {k: v - 0.02 * day_.channels["x"] for k, v in day_.readings.items()}
+    found = diagnose(empty(), [replace(day_, readings=more)], draws=50)
+    assert {"axis_expansion", "scale"} <= {m.fitted.effect.effect for m in found.together}
+    assert "axis_expansion(EXX, X, T_x_nut) of a stretched screw that is slack from 24.0 °C on" in found.sentence
