@@ -7,6 +7,7 @@ Also: a subset of very many readings for a quick screen.
 """
 
 import itertools
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -370,9 +371,10 @@ def looked_at(readings: Readings) -> NDArray[np.bool_]:
     if len(readings) <= LOOK:
         return keep
     # Random runs, not every n-th: the runs of a campaign have patterns (there and back, fast and slow).
-    rng = np.random.default_rng(0)
     share = LOOK / len(readings)
     for s in readings.series:
+        # By its readings, so that the same ones are drawn in whatever order the files are given.
+        rng = np.random.default_rng(zlib.crc32(readings.measurements[s.source].readings[s.column].tobytes()))
         runs = int(s.run[-1]) + 1
         if runs >= RUNS:
             keep[s.part] = (rng.permutation(runs) < max(share * runs, RUNS // 2))[s.run]

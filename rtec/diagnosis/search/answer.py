@@ -150,19 +150,46 @@ class _Answer:
             for t in refitted
         ]
         mine = found.contribution(refitted[0].number)
+        besides = [
+            accepted and s and cosine(mine, found.contribution(t.number)) < APART
+            for t, s in zip(refitted, same, strict=True)
+        ]
+        refitted, same, besides = self._beside_first(refitted, same, besides)
         # An effect that explains another part is no rival but may be missing too: its probability is among its like.
-        besides = np.array(
-            [
-                accepted and s and cosine(mine, found.contribution(t.number)) < APART
-                for t, s in zip(refitted, same, strict=True)
-            ]
+        among = np.array(besides)
+        odds = np.array(
+            [t.log_evidence if t.before is None or b else -np.inf for t, b in zip(refitted, besides, strict=True)]
         )
-        odds = np.array([t.log_evidence for t in refitted])
-        posterior = np.where(besides, self._posterior(odds, besides), self._posterior(odds, ~besides))
+        posterior = np.where(among, self._posterior(odds, among), self._posterior(odds, ~among))
+        confused = tuple(self._alikes(found, [t.number for t, b in zip(refitted, besides, strict=True) if b]))
         return tuple(
-            self._finding(found, rank, t, refitted, p, float(posterior[i]), accepted, same[i], bool(besides[i]))
+            self._finding(rank, t, p, float(posterior[i]), accepted, same[i], besides[i], confused)
             for rank, (i, t) in enumerate(enumerate(refitted), 1)
         )
+
+    def _beside_first(
+        self, refitted: list[Refitted], same: list[bool], besides: list[bool]
+    ) -> tuple[list[Refitted], list[bool], list[bool]]:
+        """The same; what explains another part than the first is fitted and judged beside it, the likeliest first.
+
+        Alone, a form with a number of its own takes up a part of the first as well.
+        """
+        if not self.s.explain or not any(besides):
+            return refitted, same, besides
+        first, places = refitted[0], [i for i, b in enumerate(besides) if b]
+        whole = self.s.refits.these_beside(first, [refitted[i].number for i in places])
+        each = [
+            replace(
+                t,
+                log_evidence=t.log_evidence - first.log_evidence,
+                drop=1.0 - (1.0 - t.drop) / (1.0 - first.drop),
+            )
+            for t in whole
+        ]
+        out, holds = [*refitted], [*besides]
+        for i, t in zip(places, sorted(each, key=lambda t: -t.log_evidence), strict=True):
+            out[i], holds[i] = t, t.holds and t.drop > 0.0 and t.log_evidence > 0.0
+        return out, [s and (h or not b) for s, h, b in zip(same, holds, besides, strict=True)], holds
 
     def _posterior(self, odds: Floats, among: NDArray[np.bool_]) -> Floats:
         """Probability of each of these candidates against the others of them and "nothing"."""
@@ -173,18 +200,16 @@ class _Answer:
 
     def _finding(
         self,
-        found: Screen,
         rank: int,
         t: Refitted,
-        refitted: Sequence[Refitted],
         p: float,
         share: float,
         accepted: bool,
         same: bool,
         beside: bool,
+        confused: tuple[Alike, ...],
     ) -> Finding:
-        candidate, winner = self.s.candidates[t.number], refitted[0]
-        confused = tuple(self._alikes(found, t, refitted)) if rank == 1 and accepted else ()
+        candidate = self.s.candidates[t.number]
         numbers, size = self._numbers(candidate.effect, t.theta, t)
         return Finding(
             rank=rank,
@@ -199,12 +224,12 @@ class _Answer:
             size_um=size,
             accepted=accepted and rank == 1,
             group=accepted and (rank == 1 or same),
-            confused_with=confused,
-            why_not="" if rank == 1 else self._why_not(t, winner, same and accepted, beside),
+            confused_with=confused if rank == 1 and accepted else (),
+            why_not="" if rank == 1 else self._why_not(t, same and accepted, beside),
             same_components=tuple(same_effects(self.readings, candidate.effect, self.s.model.effects)),
         )
 
-    def _why_not(self, t: Refitted, winner: Refitted, same: bool, beside: bool) -> str:
+    def _why_not(self, t: Refitted, same: bool, beside: bool) -> str:
         if t.number == self.s.partner:
             return words.TOGETHER
         if beside:
@@ -212,13 +237,17 @@ class _Answer:
         if any(t.number == c.number for c in self.s.chain[1:]):
             return words.AMONG
         whole = self.s.chain[-1].log_evidence if self.s.chain else None
-        return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same, whole)
+        if t.before is not None and not self.s.chain:
+            return words.NOTHING_BESIDE
+        if self._of_no_machine(self.s.found, t.number):
+            return words.OF_NO_MACHINE
+        return words.why_not(t.log_evidence, self.s.refitted[0].log_evidence, t.gain, same, whole)
 
     def _same(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether these readings cannot distinguish another candidate from the winner."""
         if winner.number == other.number:
             return True
-        if self._by_chance(winner, other.number, other.theta):
+        if self._by_chance(winner, other.number, other.theta) or self._of_no_machine(found, other.number):
             return False
         if self.s.chain:
             return cosine(found.contribution(winner.number), found.contribution(other.number)) > SAME
@@ -233,6 +262,10 @@ class _Answer:
         cos = cosine(found.contribution(winner.number), found.contribution(other.number))
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
 
+    def _of_no_machine(self, found: Screen, number: int) -> bool:
+        """Whether a candidate would have a size that no machine has, unlike the first."""
+        return self.s.refits.of_no_machine(found, number, self.s.refitted[0].number)
+
     def _by_chance(self, winner: Refitted, number: int, theta: Mapping[str, float]) -> bool:
         """Whether another wave is the winner's only because its free period happens to be that of the screw."""
         mine, other = (self.s.candidates[n].effect for n in (winner.number, number))
@@ -246,7 +279,7 @@ class _Answer:
 
         One that is not significant by itself must explain the same part of the readings.
         """
-        if self.s.chain or not other.holds or other.log_evidence <= 0.0:
+        if self.s.chain or not other.holds or other.log_evidence <= 0.0 or self._of_no_machine(found, other.number):
             return False
         sure = other.log_evidence - self.s.prior_odds > SURE
         if not sure and cosine(found.contribution(winner.number), found.contribution(other.number)) < APART:
@@ -261,8 +294,14 @@ class _Answer:
         alike = 1.0 - winner.drop > BETTER * (1.0 - other.drop)
         return bool(one and two) and one != two and near and alike
 
-    def _alikes(self, found: Screen, winner: Refitted, refitted: Sequence[Refitted]) -> list[Alike]:
-        """Effects confounded with the winner: the refitted ones by evidence, the others by shape."""
+    def _alikes(self, found: Screen, besides: Sequence[int]) -> list[Alike]:
+        """Effects confounded with the first: the refitted ones by evidence, the others by shape.
+
+        Args:
+            found: screen of all candidates.
+            besides: numbers of those that may be missing besides, the likeliest first.
+        """
+        refitted, winner = self.s.refitted, self.s.refitted[0]
         mine = self.s.candidates[winner.number].effect
         shape = found.contribution(winner.number)
         width = found.variants[found.best[winner.number]].count
@@ -280,13 +319,13 @@ class _Answer:
             else:
                 same = cos > SAME and found.variants[found.best[number]].count <= width
                 same = same and not self._by_chance(winner, number, self._theta(found, number))
+                same = same and not self._of_no_machine(found, number)
                 behind = 0.0
             if same:
                 name = other.effect, other.component, getattr(other, "sensor", None) or ""
                 fitted_as = FittedEffect(other, {}, self._theta(found, number))
                 out.setdefault(name, (replace(alike(mine, other, cos, behind), fitted=fitted_as), number))
         rivals = [r for r in out.values() if not r[0].apart]
-        evidence = {t.number: t.log_evidence for t in refitted}
         listed = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
         if of_places(mine, self.readings):
             listed = [
@@ -295,7 +334,8 @@ class _Answer:
                 else a
                 for a in listed
             ]
-        listed += [a for a, n in sorted(out.values(), key=lambda a: -evidence.get(a[1], -math.inf)) if a.apart]
+        apart = {n: a for a, n in out.values() if a.apart}
+        listed += [apart[n] for n in besides if n in apart]
         part = winner.columns @ winner.fit.values[self._first(winner) :][: winner.columns.shape[1]]
         if getattr(mine, "grows_with", None) is not None:
             return listed  # the model has the wave itself: its period is not in question

@@ -46,6 +46,10 @@ USUAL = math.log(10.0)
 """Factor by which coefficients scatter about the usual size."""
 
 
+NO_MACHINE = 1000.0
+"""No machine has an effect of this many times its usual size."""
+
+
 def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
     """Log of a weak prior on the size of an effect: its largest coefficient against its usual size.
 
@@ -54,11 +58,20 @@ def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
     arm), or that follows a sensor whose name says that it is at another axis, or a drive ahead of its command. It never
     exceeds a few units, so that readings overrule it.
     """
-    usual = np.array([p.typical for p in effect.coefficients(machine)])
-    ratio = float(np.max(np.abs(values) / usual, initial=1e-300))
-    size = min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0)
+    size = min(0.5 * (math.log(max(_against_usual(effect, values, machine), 1.0)) / USUAL) ** 2, 6.0)
     ahead = type(effect) is ServoLag and values[0] > 0.0
     return -size - INDIRECT * directness(effect, machine) - ELSEWHERE * elsewhere(effect, machine) - AHEAD * ahead
+
+
+def unheard_of(effect: Effect, values: Floats, machine: Machine) -> bool:
+    """Whether an effect would have a size that no machine has."""
+    return _against_usual(effect, values, machine) > NO_MACHINE
+
+
+def _against_usual(effect: Effect, values: Floats, machine: Machine) -> float:
+    """Largest coefficient of an effect against its usual size."""
+    usual = np.array([p.typical for p in effect.coefficients(machine)])
+    return float(np.max(np.abs(values) / usual, initial=1e-300))
 
 
 def elsewhere(effect: Effect, machine: Machine) -> bool:

@@ -23,6 +23,7 @@ from rtec.diagnosis.search.confounded import (
     elsewhere,
     period_mm,
     plausibility,
+    unheard_of,
 )
 from rtec.diagnosis.search.polish import Theta, at_instant, live_columns, polished
 from rtec.diagnosis.search.prepared import Prepared
@@ -274,11 +275,8 @@ class Refits:
             self.stage("refitting the best", next(counted), len(chosen))
             weighed, number = which
             theta, columns, fit, likely = self._fitted(weighed, number, base)
-            evidence = likely - current.log_likelihood
-            evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
-            return Refitted(
-                number, theta, columns, fit, evidence, *self._judged(number, theta, fit.whitener, base, columns)
-            )
+            judged = self._judged(number, theta, fit.whitener, base, columns)
+            return Refitted(number, theta, columns, fit, likely - current.log_likelihood, *judged)
 
         # A candidate that predicts held-out runs worse is no winner, whatever its evidence.
         ordered = sorted(each(refit, chosen, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
@@ -374,7 +372,15 @@ class Refits:
             self._refitted_beside[first.number] = self._refit_beside(first)
         return self._refitted_beside[first.number]
 
-    def _refit_beside(self, first: Refitted) -> list[Refitted]:
+    def these_beside(self, first: Refitted, numbers: Sequence[int]) -> list[Refitted]:
+        """Some candidates, each fitted together with a first one; the evidence is that of both."""
+        there = {t.number: t for t in self._refitted_beside.get(first.number, ())}
+        others = [n for n in numbers if n not in there]
+        there |= {t.number: t for t in (self._refit_beside(first, others) if others else ())}
+        return [there[n] for n in numbers]
+
+    def _refit_beside(self, first: Refitted, numbers: Sequence[int] | None = None) -> list[Refitted]:
+        """These candidates beside a first one, or without any numbers the best."""
         width = self.prepared.base.shape[1]
         base = np.concatenate([self.prepared.base, first.columns], axis=1)
         found = self.weigh(first.fit.whitener, base)
@@ -386,12 +392,14 @@ class Refits:
             return Refitted(number, theta, columns, fit, evidence, *judged, base.shape[1])
 
         return self._with_rivals(
-            found, each(refit, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
+            found,
+            each(refit, self._distinct(found)[:BESIDE] if numbers is None else numbers, len(self.readings)),
+            [self._name(first.number)],
         )
 
     def _fitted(self, found: Screen, number: int, base: Floats) -> tuple[Theta, Floats, Fit, float]:
         """A candidate beside columns, (m, p): its non-linear parameters, its columns, the fit, and the log likelihood
-        less the cost of the candidate's numbers and of the choice among its like.
+        less the cost of the candidate's numbers, of the choice among its like, and of an unusual size.
 
         Args:
             found: screen of all candidates beside the same columns.
@@ -403,6 +411,7 @@ class Refits:
         columns = self._columns(number, theta)
         fit = self.fit(np.concatenate([base, columns], axis=1))
         cost = self._cost(columns, variant.count) + found.search_cost(number) + self._choice_cost(number)
+        cost -= plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
         return theta, columns, fit, fit.log_likelihood - cost
 
     def _with_rivals(
@@ -433,6 +442,7 @@ class Refits:
             lean = found.variants[found.best[number]].count <= width
             if likely or (lean and cosine(shape, found.contribution(number)) > SAME):
                 near.add(number)
+        near = {i for i in near if i == t.number or not self.of_no_machine(found, i, t.number)}
         thetas = {i: self.candidates[i].thetas[found.variants[found.best[i]].theta] for i in near}
         thetas |= {o.number: o.theta for o in (*refitted, t)}
 
@@ -440,6 +450,17 @@ class Refits:
             return coincides(self.candidates[i].effect, thetas[i], machine)
 
         return [i for i in found.order if i in near and (i == t.number or by_chance(t.number) or not by_chance(i))]
+
+    def of_no_machine(self, found: Screen, number: int, other: int) -> bool:
+        """Whether a candidate would have a size that no machine has, and another one would not."""
+
+        def unheard(i: int) -> bool:
+            effect, at = self.candidates[i].effect, found.projected
+            theta = self.candidates[i].thetas[found.variants[found.best[i]].theta]
+            white = at.take_out(at.whitener(live_columns(effect, theta, at.whitener.readings)))
+            return unheard_of(effect, np.linalg.lstsq(white, at.left, rcond=None)[0], self.readings.machine)
+
+        return unheard(number) and not unheard(other)
 
     def chain(self, first: Sequence[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """Effects and those that the readings require beside them, one after the other; the evidence is that of all.
