@@ -12,7 +12,14 @@ from rtec.effects.base import component_kind
 from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.source import Source, reads, thinned, varying_sensors
 from rtec.estimation.gram.stream import gather
-from rtec.estimation.visible import VisibleComponent, lines_shown, read_directly, visible_components
+from rtec.estimation.visible import (
+    VisibleComponent,
+    behind_arm,
+    lever_arms,
+    lines_shown,
+    read_directly,
+    visible_components,
+)
 from rtec.machine import Machine
 
 Floats = NDArray[np.float64]
@@ -115,7 +122,13 @@ def screen(
             kept += [replace(c, offered=False) for c in also]
             marked = [replace(c, kept=i in best) for i, c in enumerate(found)]
             table += sorted(marked, key=lambda c: -abs(c.r))
-    return Screened(tuple(few), tuple(seen), (*shapes, *kept), tuple(table), tuple(unused))
+    candidates = [*shapes, *kept]
+    if allowed is None:
+        # An angle that shows at one arm only would be a second name for a shift, and free of the limits of the first.
+        arms = lever_arms([s.measurement for s in few])
+        behind = {s.name for s in seen if behind_arm(s.name, shown, arms)}
+        candidates = [replace(c, offered=False) if c.component in behind else c for c in candidates]
+    return Screened(tuple(few), tuple(seen), tuple(candidates), tuple(table), tuple(unused))
 
 
 def _asked_components(

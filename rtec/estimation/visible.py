@@ -1,6 +1,6 @@
 """What measurements can see: component errors, and axes that moved."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,8 @@ SAME_MM, PLACES_ACROSS = 0.02, 200
 SAME_RPM = 30.0
 """Speeds of the spindle within this are one."""
 NO_ARM = 1e-12
+SAME_ARM = 1e-6
+"""Lever arms within this relative difference are one."""
 ONE = 1e-6
 """A lever arm of one, to rounding."""
 SAMPLE = 2000
@@ -161,6 +163,32 @@ def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
         for name in shown or seen:
             out.setdefault(name, False)
     return out
+
+
+def behind_arm(component: str, shown: Collection[str], arms: Callable[[str], Floats]) -> bool:
+    """Whether a component is an angle that is read only at one lever arm, as a shift along the same axis.
+
+    Args:
+        component: in question.
+        shown: components that the readings show directly.
+        arms: lever arm of a component at each reading.
+    """
+    direct = [arms(c) for c in shown if c[2:] == component[2:]]
+    if component in shown or not direct or component_unit(component) != "urad":
+        return False
+    mine = arms(component)[np.any(direct, axis=0)]
+    return bool(mine.size) and float(np.ptp(mine)) < SAME_ARM * float(np.abs(mine).max())
+
+
+def lever_arms(measurements: Sequence[Measurement]) -> Callable[[str], Floats]:
+    """Gives the lever arm of a component at some readings of every column of measurements, (readings,)."""
+    machine, parts = measurements[0].machine, []
+    for m in measurements:
+        rows = np.unique(np.linspace(0, len(m) - 1, SAMPLE).astype(np.int64))
+        arms = m.instrument.arms(machine, m.state().positions_mm()[rows])
+        parts.append(arms.reshape(-1, arms.shape[-1]))
+    whole = np.concatenate(parts)
+    return lambda component: np.asarray(whole[:, machine.components.index(component)])
 
 
 def lines_shown(measurements: Sequence[Measurement]) -> set[str]:

@@ -72,12 +72,15 @@ def test_ctrl_c_ends_the_measurement_without_a_word() -> None:
         "rate_hz": 100.0,
         "seconds": 60.0,
     }
+    # Where the tests run as a shell's background job, SIGINT is ignored, and so it is in what they start.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with subprocess.Popen(
         [sys.executable, "-m", "rtec.doctor.wakeup"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     ) as process:
+        signal.signal(signal.SIGINT, before)
         assert process.stdin is not None
         assert process.stdout is not None
         process.stdin.write(json.dumps(orders).encode())

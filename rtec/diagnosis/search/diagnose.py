@@ -78,7 +78,7 @@ from rtec.estimation.gls import along_runs, held_out_gain, solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
-from rtec.estimation.visible import read_directly
+from rtec.estimation.visible import behind_arm, read_directly
 from rtec.estimation.warmth import EXPANDS
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
@@ -112,8 +112,6 @@ HALF = 0.5
 """From this share on it may be so even where a drift is likelier."""
 MOSTLY = 0.5
 """Two effects that help only together must remove at least this share of the held-out mean square."""
-SAME_ARM = 1e-6
-"""Lever arms within this relative difference are one."""
 SEEN = 1e-3
 """A column of which those of the model describe all but this share says nothing."""
 OFF_K = 0.5
@@ -863,12 +861,7 @@ class Search:
 
     def _behind_arm(self, effect: Effect) -> bool:
         """Whether an effect is an angle that is read only at one lever arm, as a shift along the same axis."""
-        component, shown = effect.component, self._shown
-        direct = [self.readings.arms(c) for c in shown if c[2:] == component[2:]]
-        if component in shown or not direct or component_unit(component) != "urad":
-            return False
-        arms = self.readings.arms(component)[np.any(direct, axis=0)]
-        return bool(arms.size) and float(np.ptp(arms)) < SAME_ARM * float(np.abs(arms).max())
+        return behind_arm(effect.component, self._shown, self.readings.arms)
 
     @cached_property
     def _shown(self) -> Collection[str]:

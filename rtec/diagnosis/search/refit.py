@@ -458,7 +458,8 @@ class Refits:
             effect, at = self.candidates[i].effect, found.projected
             theta = self.candidates[i].thetas[found.variants[found.best[i]].theta]
             white = at.take_out(at.whitener(live_columns(effect, theta, at.whitener.readings)))
-            return unheard_of(effect, np.linalg.lstsq(white, at.left, rcond=None)[0], self.readings.machine)
+            values = np.asarray(np.linalg.lstsq(white, at.left, rcond=None)[0], dtype=np.float64)
+            return unheard_of(effect, values, self.readings.machine)
 
         return unheard(number) and not unheard(other)
 

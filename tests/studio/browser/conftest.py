@@ -21,18 +21,30 @@ from tests.studio.studio_rig import (
 )
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, BrowserContext
 
 WATCH_SHIFTS = """window.shifted = 0;
 new PerformanceObserver((list) => {
   for (const e of list.getEntries()) if (!e.hadRecentInput) window.shifted += e.value;
 }).observe({ type: "layout-shift", buffered: true });"""
 
+KEPT: list["BrowserContext"] = []
+"""Tabs that several files share."""
+
 
 @pytest.fixture(scope="package")
 def browser() -> Iterator["Browser"]:
     with chromium() as made:
         yield made
+
+
+@pytest.fixture(scope="module", autouse=True)
+def closed(browser: "Browser") -> Iterator[None]:
+    """The tabs of a file are closed behind it: a page that follows a daemon draws as long as it is open."""
+    yield
+    for context in browser.contexts:
+        if context not in KEPT:
+            context.close()
 
 
 @pytest.fixture(scope="package")
@@ -57,6 +69,7 @@ def whole(browser: "Browser", workshop: RunningStudio) -> Watched:
     address = f"{workshop.origin}/measurements?{workshop.address.partition('?')[2]}"
     watched = tab(browser, address, 1280, 960, WATCH_SHIFTS)
     page = watched.page
+    KEPT.append(page.context)
     for name in ("laser-a", "laser-b"):
         page.get_by_label(f"use {name}.csv").click()
     page.locator("header", has_text="2 measurements").wait_for()
