@@ -137,7 +137,10 @@ def of_changes(changed: Sequence[ChangedNumber]) -> str:
 
 
 def _moved(c: ChangedNumber) -> str:
-    return f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}"
+    moved, off = f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}", c.misread
+    if off is None or off.shown:
+        return moved
+    return f"{moved} (or {off.sensor} reads {abs(off.by_k):.2f} K {'more' if off.by_k > 0.0 else 'less'} than then)"
 
 
 def of_warmth(changed: Sequence[ChangedNumber]) -> str:
@@ -155,7 +158,7 @@ def of_sensors(changed: Sequence[ChangedNumber]) -> str:
         f"{significant(abs(c.misread.by_k), 2)} K too {'high' if c.misread.by_k > 0.0 else 'low'}, {c.effect} has not "
         "changed. Hold it beside another thermometer."
         for c in changed
-        if c.misread is not None
+        if c.misread is not None and c.misread.shown
     )
 
 

@@ -6,6 +6,7 @@ Of a cold day and a warm one, a scale error that changed and a part that expands
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,12 @@ from rtec.estimation.readings import Readings
 from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.wording import significant
 
 WARMER_K = 1.0
-MISREADS_K, APART = (1.0, 20.0), 0.5
+MISREADS_K, APART, DRIFTS_K = (1.0, 20.0), 0.5, 0.5
 """What a sensor may read too high or too low. Since the fit it has moved away from the other sensors; what it reads too
-high explains that but for this share."""
+high explains that but for this share. By less than the last any sensor may read otherwise on another day."""
 EXPANDS, SURE = 25.0, 2.0
 """Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
 
@@ -66,10 +68,13 @@ class Misread:
     Attributes:
         sensor: its name.
         by_k: how many kelvin too high.
+        shown: whether it stands apart from the other sensors by as much more than in the fit; else any sensor may read
+            otherwise by so little.
     """
 
     sensor: str
     by_k: float
+    shown: bool = True
 
 
 def recorded_degc(measurements: Iterable[Measurement]) -> dict[str, dict[str, list[float]]]:
@@ -143,7 +148,8 @@ def warmer(model: Model, readings: Readings, effect: Effect, change: float) -> W
 def misread(model: Model, readings: Readings, effect: Effect, change: float) -> Misread | None:
     """The sensor of an expansion of the model that, reading too high or too low, looks like a change of a scale error.
 
-    It must stand apart from all others by about as much more than in the fit. None where there is none.
+    It must stand apart from all others by about as much more than in the fit, unless it is hardly anything. None where
+    there is none.
 
     Args:
         model: of an earlier day.
@@ -161,9 +167,67 @@ def misread(model: Model, readings: Readings, effect: Effect, change: float) -> 
         name, k = f.effect.sensor, f.values["k"]
         others = [now[n] - then[n] for n in known if n != name]
         by_k = -change / k if k else math.inf
+        if abs(by_k) < DRIFTS_K:
+            return Misread(name, by_k, shown=False)
         if name not in known or not others or not MISREADS_K[0] <= abs(by_k) <= MISREADS_K[1]:
             continue
         apart = now[name] - then[name] - float(np.median(others))
         if abs(apart - by_k) < APART * abs(apart):
             return Misread(name, by_k)
     return None
+
+
+SHARED = 0.25
+"""The sum of what several temperatures make of one expansion stays what the day of the fit showed, and none of them
+grows beside another one, but for this share or `SURER` standard errors."""
+SURER = 3.0
+
+
+def otherwise_on_the_day_of_the_fit(model: Model, after: Model) -> tuple[str, ...]:
+    """Axes that would have expanded otherwise than a model found it on the day of its fit, in words.
+
+    A further temperature may share an expansion with those before. Where all of them warm as they did then, their sum
+    is what that day showed.
+
+    Args:
+        model: with its errors, and the ranges of the sensors on the day of its fit.
+        after: the model with more effects.
+    """
+    span = {n: high - low for n, (low, high) in of_the_fit(model).items() if high > low}
+    out, grown = [], _expansions(after)
+    for part, was in _expansions(model).items():
+        now = grown.get(part, [])
+        if len(now) <= len(was) or not all(g.sensor in span for g in now) or not all(g.error for g in was):
+            continue
+        most, new = max(span[g.sensor] for g in was), {g.sensor for g in now[len(was) :]}
+        before, then = (sum(g.k * span[g.sensor] / most for g in of) for of in (was, now))
+        if abs(then - before) > max(SHARED * abs(before), SURER * min(g.error for g in was)):
+            out.append(
+                f"The expansion of {part[1]} would have been {significant(then, 2)} µm/(m·K) on the day of the fit, "
+                f"which showed {significant(before, 2)}."
+            )
+        out += [
+            f"The expansion of {part[1]} by {one.sensor} would grow from {significant(one.k, 2)} to "
+            f"{significant(other.k, 2)} µm/(m·K), and another would take it back."
+            for one, other in zip(was, now, strict=False)
+            if abs(other.k) - abs(one.k) > max(SHARED * abs(one.k), SURER * one.error) and one.sensor not in new
+        ]
+    return tuple(out)
+
+
+class _Growth(NamedTuple):
+    """An expansion: its sensor, its number in µm/(m·K), and the standard error; zero where that is unknown."""
+
+    sensor: str
+    k: float
+    error: float
+
+
+def _expansions(model: Model) -> dict[tuple[str, str], list[_Growth]]:
+    """Expansions of a model that have no kink, by component and axis."""
+    out: dict[tuple[str, str], list[_Growth]] = {}
+    for f in model.effects:
+        if isinstance(f.effect, AxisExpansion) and not f.effect.stretched:
+            growth = _Growth(f.effect.sensor, f.values["k"], f.errors.get("k", 0.0))
+            out.setdefault((f.effect.component, f.effect.axis), []).append(growth)
+    return out

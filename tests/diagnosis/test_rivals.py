@@ -32,7 +32,7 @@ from rtec.sim.campaign.truth import effect_from_text
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build as generated
 from tests.discovery.translate import base_model, measurement_of
-from tests.support.diagnosis_examples import TABLE, laser, read_by, small_machine
+from tests.support.diagnosis_examples import TABLE, effects, laser, read_by, small_machine
 
 Floats = NDArray[np.float64]
 Channels = Mapping[str, Floats]
@@ -364,3 +364,21 @@ def test_a_drive_lags_rather_than_leads() -> None:
     effect = effect_class("servo_lag", "test").model_validate({"effect": "servo_lag", "component": "EXX", "axis": "X"})
     behind, ahead = (plausibility(effect, np.array([tau]), machine) for tau in (-0.35, 0.35))
     assert behind == pytest.approx(ahead + np.log(10.0))
+
+
+def test_another_delay_of_a_known_expansion_must_remove_more_than_a_late_sensor_makes() -> None:
+    """Oracle: the rule of docs/diagnose.md. By another sensor, or for another component, the share does not matter."""
+    known, late, other = effects(
+        "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=10",
+        "axis_expansion,component=EXX,axis=X,sensor=T_bed,lag=true,k=1,tau=600",
+        "axis_expansion,component=EXX,axis=X,sensor=T_air,k=1",
+    )
+    asked: Any = object.__new__(Search)
+    asked.model = Model(small_machine(), (known,), name="known")
+    asked.candidates = [SimpleNamespace(effect=e.effect) for e in (late, other)]
+
+    def hardly(number: int, drop: float) -> Any:
+        return asked._hardly_refines(SimpleNamespace(number=number, drop=drop, within=0.5 * drop))
+
+    assert [hardly(0, drop) for drop in (0.03, 0.2)] == [True, False]
+    assert not hardly(1, 0.03)

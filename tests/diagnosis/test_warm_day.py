@@ -135,3 +135,18 @@ def test_a_sensor_that_reads_too_high_is_said_beside_the_scale_that_seems_to_hav
     assert f"if it reads {abs(changed.misread.by_k):.1f} K too {'high' if off_k > 0.0 else 'low'}" in found.sentence
     (worn,) = diagnose(model, [day(3, 21.0, scale=SCALE - SCREW * off_k)], draws=50, explain=True).changed
     assert worn.misread is None
+
+
+@pytest.mark.parametrize("off_k", [-0.4, 0.3])
+def test_a_sensor_may_read_a_little_otherwise_on_another_day(off_k: float) -> None:
+    """Oracle: what was added to one column of a machine that has not changed."""
+    start = Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN), name="mill")
+    model, today = add(start, [], [day(1, 21.0)]).model, day(2, 21.0)
+    off = replace(today, channels={**today.channels, "T_x_nut": today.channels["T_x_nut"] + off_k})
+    found = diagnose(model, [off], draws=50, explain=True)
+    (changed,) = found.changed
+    assert changed.misread is not None
+    assert changed.misread.by_k == pytest.approx(off_k, abs=0.1)
+    assert f"(or T_x_nut reads {abs(changed.misread.by_k):.2f} K {'more' if off_k > 0.0 else 'less'} than then)" in (
+        found.sentence
+    )

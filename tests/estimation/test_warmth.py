@@ -7,9 +7,9 @@ from rtec.diagnosis.extend.add import add
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
-from rtec.estimation.warmth import expands_much
+from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
 from rtec.metrology.measurement import Measurement
-from rtec.model import Model
+from rtec.model import FittedEffect, Model
 from rtec.report.history import _refit_words, improved_page
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
@@ -69,3 +69,31 @@ def test_an_angle_that_grows_along_an_axis_is_no_expansion_of_a_material() -> No
     assert expands_much(expansion.effect, 4000.0, 3000.0), "one of two that cancel"
     assert not expands_much(expansion.effect, 37.0, 10.0)
     assert not expands_much(turn.effect, 37.0, 1.0)
+
+
+def by_sensors(*numbers: tuple[str, float]) -> tuple[FittedEffect, ...]:
+    """Expansions of X, µm/(m·K), each by a sensor and known to 0.2."""
+    (plain,) = effects(GROWTH)
+    return tuple(
+        FittedEffect(plain.effect.model_copy(update={"sensor": n}), {"k": k}, {}, {"k": 0.2}) for n, k in numbers
+    )
+
+
+@pytest.mark.parametrize(
+    ("after", "possible"),
+    [
+        ((("T_bed", 8.0), ("T_air", 6.0)), True),  # 8 + 6 / 2 on that day
+        ((("T_bed", 5.0), ("T_air", 2.0)), False),  # 6 in all
+        ((("T_bed", 24.0), ("T_air", -26.0)), False),  # 11 in all, but one takes back what the other makes
+        ((("T_bed", 16.0), ("T_bed", -5.0)), True),  # a body that leads or lags its own sensor
+    ],
+)
+def test_several_temperatures_make_together_what_the_day_of_the_fit_showed(
+    after: tuple[tuple[str, float], ...], possible: bool
+) -> None:
+    """Oracle: arithmetic. On that day the bed warmed by 4 K and the air by 2, and X grew by 11 µm per m and K of the
+    bed."""
+    history = ({"recorded_degc": {"T_bed": [20.0, 24.0], "T_air": [20.0, 22.0]}},)
+    was = Model(small_machine(), by_sensors(("T_bed", 11.0)), name="was", history=history)
+    now = Model(small_machine(), by_sensors(*after), name="now")
+    assert (not otherwise_on_the_day_of_the_fit(was, now)) == possible

@@ -37,7 +37,7 @@ from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.unmeasured import UnmeasuredMotion, unmeasured_motions
-from rtec.estimation.warmth import expands_much
+from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
 from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -328,7 +328,7 @@ def _add(
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
-    much = _beyond_materials(model.effects, made.model.effects)
+    much = (*_beyond_materials(model.effects, made.model.effects), *otherwise_on_the_day_of_the_fit(model, made.model))
     better = made.better and not cancelling and not wrong and not much
     return replace(
         made,

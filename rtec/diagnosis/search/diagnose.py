@@ -118,6 +118,9 @@ OFF_K = 0.5
 """Largest difference, K, that the readings of one thermocouple may have between two files for no reason."""
 TIGHT = 0.5
 """Below the temperature at which it is slack, a stretched screw grows less than this share of what it does above."""
+HARDLY = 0.1
+"""A new delay or place of an effect that the model has by the same sensor must remove this share of the held-out mean
+square: sensors are read late and in steps."""
 DRAWS = 400
 
 
@@ -501,7 +504,7 @@ class Search:
         effect, they make noise alone look likelier than it is.
         """
         beyond = best.log_evidence - self._prior_odds
-        if self._doubted:
+        if self._doubted or self._hardly_refines(best):
             return False
         if unrecorded_heat(self.readings, self.refits.current) is not None and (
             best.drop < NOTHING_MUCH or self.refits.beside_slopes(best) - self._prior_odds < SURE
@@ -516,6 +519,17 @@ class Search:
             self.doubts = (*self.doubts, found)
             sure = not found.fatal
         return sure and not self.refits.jumps_again(best)
+
+    def _hardly_refines(self, best: Refitted) -> bool:
+        """Whether an effect only changes how the model follows a temperature, and hardly changes it."""
+
+        def by(effect: Effect) -> tuple[str, str, frozenset[str]]:
+            sensors = frozenset(self.model.machine.sensor_names) & set(effect.channels(self.model.machine))
+            return effect.effect, effect.component, sensors
+
+        mine = by(self.candidates[best.number].effect)
+        known = any(by(f.effect) == mine for f in self.model.effects)
+        return known and bool(mine[-1]) and max(best.drop, best.within) < HARDLY
 
     def _instead(self, best: Refitted) -> Doubt | None:
         """Doubt that something else than an effect of the machine explains the readings; None for none."""
