@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtec.cli.common import Json, print_json
+from rtec.cli.common import Json, print_json, writable_file
 from rtec.cli.screen import Console
 from rtec.control.facts import um_text
 from rtec.text import joined
@@ -284,7 +284,12 @@ def replay(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Write here; by default beside the log, with 'replay' in its name."),
+        typer.Option(
+            "--out",
+            "-o",
+            callback=writable_file,
+            help="Write here; by default beside the log, with 'replay' in its name.",
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
