@@ -66,6 +66,11 @@ def cannot_be_made(folder: Path) -> str:
     return "" if os.access(there, os.W_OK | os.X_OK) else f"{there} may not be written to"
 
 
+def beside(base: Path, path: Path) -> Path:
+    """A path that starts at a folder, or is absolute; the folder need not exist yet, even for a path out of it."""
+    return base / path if base.is_dir() else Path(os.path.normpath(base.resolve() / path))
+
+
 @contextmanager
 def whole(path: Path, error: type[RtecError], replace: bool = True) -> Iterator[BinaryIO]:
     """Open a file that takes its name, flushed to the disk, only when the block ends without an error.

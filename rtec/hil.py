@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.tomlfile import nearest
@@ -340,7 +341,13 @@ class SoakOrder:
 
 
 class Bench(Protocol):
-    """A simulated machine behind real buses."""
+    """A simulated machine behind real buses.
+
+    Attributes:
+        options_model: the keys of `[hil]` in a run file.
+    """
+
+    options_model: type[BaseModel]
 
     def faults(self) -> Mapping[str, str]:
         """All faults that it can cause: name, and description."""

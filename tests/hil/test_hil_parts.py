@@ -214,6 +214,8 @@ def test_the_run_file_stays_as_it_is_but_for_its_ports(tmp_path: Path) -> None:
     [
         (lambda t: t.pop("hil"), r"\[hil\] is missing"),
         (lambda t: t["hil"].update(of_s=3), "did you mean 'off_s'"),
+        (lambda t: t["hil"].update(program="G9 X1"), r"hil\.toml: \[hil\] program line 1"),
+        (lambda t: t["hil"].update(truth="none.toml"), r"hil\.toml: \[hil\] .*none\.toml: no such file"),
         (lambda t: t["hil"].update(actuator="phase"), "inserts counts"),
         (lambda t: t["device"]["sensors"].update(driver="zmq_link"), "no far side"),
         (lambda t: t["device"].pop("box"), "needs one encoder box"),

@@ -31,7 +31,7 @@ from rtec_drivers.hil.findings import (
 )
 from rtec_drivers.hil.plant import Recorder, TipTrack, accuracy, directions, errors_um
 from rtec_drivers.hil.soak import soak
-from rtec_drivers.hil.wiring import Wiring, read_wiring
+from rtec_drivers.hil.wiring import HilOptions, Wiring, read_wiring
 from rtec_drivers.sim import SimDriver
 
 TOLD_CYCLES = 1000
@@ -81,6 +81,8 @@ WORDS: Mapping[Bus, str] = {
 
 class HilBench:
     """Puts the simulated machine of a run file's `[hil]` behind the buses of its devices."""
+
+    options_model = HilOptions
 
     def faults(self) -> Mapping[str, str]:
         """All faults: name, and description."""
