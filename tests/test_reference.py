@@ -49,6 +49,7 @@ def test_every_key_of_a_file_is_there(file: str) -> None:
     schema = FILES[file].model_json_schema(by_alias=True)
     several = SEVERAL if file in ("run", "measurement") else ()
     wanted = {path for path in leaves(schema, schema) if path.split(".")[0] not in several}
+    wanted |= {f"hil.{name}" for name in HilOptions.model_fields} if file == "run" else set()
     assert {key.path for key in all_keys() if key.file == file and not key.when} == wanted
 
 

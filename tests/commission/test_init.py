@@ -461,7 +461,7 @@ def test_paths_that_lead_out_of_a_folder_that_is_not_there_yet(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "truth.toml").write_text(
         "[body.bed]\ncapacity_j_per_k = 1.0\nto_air_w_per_k = 1.0\n"
-        "[spindle]\nw_at_1000_rpm = 3.0\nexponent = 1.3\nshares = { bed = 1.0 }\n[axis.X]\nbody = \"bed\"\n",
+        '[spindle]\nw_at_1000_rpm = 3.0\nexponent = 1.3\nshares = { bed = 1.0 }\n[axis.X.screw]\nbodies = ["bed"]\n',
         encoding="utf-8",
     )
     (tmp_path / "answers.toml").write_text(
