@@ -79,7 +79,7 @@ def hil(
 ) -> None:
     """Runs the daemon against simulated hardware behind real serial, Modbus and CAN lines, on the real clock.
 
-    Example: `rtec hil configs/hil.toml --fault modbus-silent@8s+8s --fault box-unplugged@24s+2s --report out/hil`
+    Example: `rtec hil configs/hil.toml --off 40 --on 40 --fault modbus-silent@8s+8s --report out/hil`
 
     Only the ports of the run file's devices change. Behind them an encoder box, Modbus slaves and a CAN adapter run as
     processes of their own. The machine runs uncorrected, then corrected, for some 80 seconds. A run in which everything
