@@ -227,6 +227,9 @@ def simulate(
     heads = {k: v for k, v in (changes or {}).items() if k not in tables}
     chosen = settings_of(None if settings is None else Path(settings), tables, heads)
     table = None if out is None else table_path(Path(out))
+    if table is not None:
+        inputs = [p for p in (machine, truth, settings) if isinstance(p, str | Path)]
+        _check_not_read([table, table.with_suffix(".toml")], inputs)
     if truth_out is not None:
         target_of(Path(truth_out), ModelError)
     result = simulate_with_truth(true, made, chosen, seed, "simulated" if table is None else table.stem)
@@ -881,6 +884,16 @@ def _check_out(out: PathLike | None, inputs: Sequence[PathLike]) -> Path | None:
     except OSError as e:
         raise ModelError(f"{target}: cannot be written: {e.strerror or e}") from e
     return target
+
+
+def _check_not_read(written: Sequence[Path], inputs: Sequence[PathLike]) -> None:
+    """Refuse to replace an input."""
+    read = {os.path.realpath(p) for p in inputs}
+    for path in written:
+        if os.path.realpath(path) in read:
+            raise MeasurementError(
+                f"{path}: is read by this simulation, and would be replaced; give another name with -o"
+            )
 
 
 def _toml_beside(table: Path) -> Path:

@@ -52,6 +52,25 @@ def target_of(path: Path, error: type[RtecError]) -> Path:
     return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
+def cannot_be_made(folder: Path) -> str:
+    """Why a folder cannot be made, or no file in it; "" where it can. Makes nothing.
+
+    A folder's permissions do not show everything: a disk may still be full, or a share refuse.
+    """
+    there = next((p for p in (folder, *folder.parents) if os.path.lexists(p)), Path())
+    try:
+        if not stat.S_ISDIR(there.stat().st_mode):
+            return f"{there} is no folder"
+    except OSError as e:
+        return f"{there}: {e.strerror or e}"
+    return "" if os.access(there, os.W_OK | os.X_OK) else f"{there} may not be written to"
+
+
+def beside(base: Path, path: Path) -> Path:
+    """A path that starts at a folder, or is absolute; the folder need not exist yet, even for a path out of it."""
+    return base / path if base.is_dir() else Path(os.path.normpath(base.resolve() / path))
+
+
 @contextmanager
 def whole(path: Path, error: type[RtecError], replace: bool = True) -> Iterator[BinaryIO]:
     """Open a file that takes its name, flushed to the disk, only when the block ends without an error.

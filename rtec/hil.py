@@ -15,12 +15,15 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.tomlfile import nearest
 
 WITHIN = 0.10
 """Share of the all-simulated run's improvement that real buses may cost."""
+LEAST_COMPARED_S = 5.0
+"""Shortest time, s, that both runs must have in common for a judgement of the improvement."""
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +33,7 @@ class Accuracy:
     """Tool-tip error, actual minus commanded, in the directions that are compensated.
 
     Attributes:
-        rms_um, largest_um: over all those directions; `largest_um` is that of the worst one.
+        rms_um, largest_um: of the error vector, all those directions together.
         axis_rms_um: by direction.
     """
 
@@ -52,8 +55,8 @@ class OffAndOn:
 
     @property
     def factor(self) -> float:
-        """How many times smaller the error is with correction."""
-        return self.off.rms_um / self.on.rms_um if self.on.rms_um > 0.0 else float("inf")
+        """How many times smaller the error is with correction; NaN where either is unknown."""
+        return float("inf") if self.on.rms_um == 0.0 else self.off.rms_um / self.on.rms_um
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class FaultFound:
         noticed_s: from its beginning until the daemon reported it; NaN where it never did.
         held_s: time for which the correction was held, until the next fault began; overlapping faults share it.
         recovered_s: from its end until the correction followed again; NaN where it did not within the run.
-        largest_um: largest tip error from its beginning until then.
+        largest_um: largest tip error, all directions together, from its beginning until then.
         oldest_s: by sensor, its oldest reading meanwhile.
     """
 
@@ -89,13 +92,16 @@ class Check:
         name: the requirement.
         passed: is it met?
         found: the result in words and figures.
-        judged: does it decide whether the run passed? No, where it depends on the clock of a PC that others use, too.
+        judged: does it decide whether the run passed? No, where it depends on the clock of a PC that others use, too,
+            or where the run does not show it.
+        why_not: reason that it is not judged.
     """
 
     name: str
     passed: bool
     found: str
     judged: bool = True
+    why_not: str = "this PC is shared"
 
     @property
     def good(self) -> bool:
@@ -105,7 +111,14 @@ class Check:
     @property
     def words(self) -> str:
         """The result, and whether it counts."""
-        return self.found if self.judged else f"not judged, as this PC is shared: {self.found}"
+        return self.found if self.judged else f"not judged, as {self.why_not}: {self.found}"
+
+
+def tally(checks: "Sequence[Check]") -> str:
+    """How many of the judged checks passed, and how many were not judged."""
+    judged = [c for c in checks if c.judged]
+    without = len(checks) - len(judged)
+    return f"{sum(c.passed for c in judged)} of {len(judged)}" + (f", {without} not judged" if without else "")
 
 
 @dataclass(frozen=True)
@@ -133,13 +146,16 @@ class HilResult:
         rate_hz: rate of the loop.
         off_s, on_s: durations.
         wiring: by device of the run file, the bus that it is behind.
-        buses, simulated: accuracy behind real buses, and of the all-simulated run of the same machine and program.
+        buses, simulated: accuracy behind real buses, and of the all-simulated run of the same machine and program, all
+            over the same times since the start of the program.
+        compared_s: sum of those times.
         off_timing, on_timing: the daemon's own figures.
         faults: effect of each fault.
         checks: the requirements.
         warnings: what the system refused.
         course: tip error over time, for the figure.
         log: log of the corrected run, where it is kept.
+        stopped: did a signal end the corrected run?
     """
 
     machine: str
@@ -149,6 +165,7 @@ class HilResult:
     wiring: Mapping[str, str]
     buses: OffAndOn
     simulated: OffAndOn
+    compared_s: float
     off_timing: Mapping[str, Any]
     on_timing: Mapping[str, Any]
     faults: Sequence[FaultFound]
@@ -156,6 +173,12 @@ class HilResult:
     warnings: Sequence[str]
     course: Course
     log: Path | None = field(default=None)
+    stopped: bool = False
+
+    @property
+    def comparable(self) -> bool:
+        """Do the runs have enough time in common to compare them?"""
+        return self.compared_s >= LEAST_COMPARED_S
 
     @property
     def passed(self) -> bool:
@@ -214,7 +237,7 @@ class SoakResult:
     Attributes:
         machine: name of the machine.
         rate_hz: rate of the loop.
-        duration_s: duration, s.
+        duration_s, ordered_s: duration, and the ordered one, s.
         seed: seed of the faults.
         faults: by kind.
         resources: memory, files, threads.
@@ -223,11 +246,13 @@ class SoakResult:
         checks: the requirements.
         warnings: what the system refused.
         log: path of the log.
+        stopped: did a signal end the run?
     """
 
     machine: str
     rate_hz: float
     duration_s: float
+    ordered_s: float
     seed: int
     faults: Sequence[SoakFault]
     resources: Sequence[Resource]
@@ -236,6 +261,7 @@ class SoakResult:
     checks: Sequence[Check]
     warnings: Sequence[str]
     log: Path | None = None
+    stopped: bool = False
 
     @property
     def passed(self) -> bool:
@@ -315,7 +341,13 @@ class SoakOrder:
 
 
 class Bench(Protocol):
-    """A simulated machine behind real buses."""
+    """A simulated machine behind real buses.
+
+    Attributes:
+        options_model: the keys of `[hil]` in a run file.
+    """
+
+    options_model: type[BaseModel]
 
     def faults(self) -> Mapping[str, str]:
         """All faults that it can cause: name, and description."""
@@ -326,7 +358,7 @@ class Bench(Protocol):
 
         Raises:
             ConfigError: the run file has no section `[hil]`, or names a device that cannot be simulated here.
-            KeyboardInterrupt: a signal ended it; its processes and files are gone.
+            KeyboardInterrupt: a signal ended it before the corrected run; its processes and files are gone.
         """
         ...
 
@@ -334,7 +366,7 @@ class Bench(Protocol):
         """Run the daemon against it for a long time, with random faults.
 
         Raises:
-            ConfigError, KeyboardInterrupt: as `run`.
+            ConfigError, KeyboardInterrupt: as `run`; a run that a signal ended within its first second has no result.
         """
         ...
 

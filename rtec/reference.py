@@ -20,7 +20,8 @@ from pydantic import BaseModel
 from rtec.commission.answers import Answers
 from rtec.commission.example import SHIPPED
 from rtec.correction.sinks import FollowingErrorSink, OriginOffsetSink, PhaseSink, PulseSink
-from rtec.errors import ConfigError
+from rtec.errors import ConfigError, DriverUnavailable
+from rtec.hil import load_bench
 from rtec.loop.driver_info import Option, installed, options_of
 from rtec.loop.run_file import RunFile
 from rtec.machine.machine import MachineFile
@@ -142,7 +143,7 @@ def matching(path: str) -> list[Key]:
         key for kind, key in zip(kinds, keys, strict=True) if kind and (kind == path or _is([kind, key.name], parts))
     ]
     ends = [key for key in keys if _is(_parts(key.path)[-len(parts) :], parts)]
-    matches = whole or tables or by_driver or ends
+    matches = [*whole, *tables] or by_driver or ends
     if not matches:
         names = sorted({key.name for key in keys} | {key.path for key in keys})
         close = difflib.get_close_matches(path, names, n=1, cutoff=NEAR)
@@ -166,12 +167,23 @@ def _keys_of(file: str, model: type[BaseModel]) -> Iterator[Key]:
         if not several and not _has_keys(option):
             yield _key(file, option, "")
     if file == "run":
+        yield from _hil_keys()
         yield from _output_keys()
         yield from _device_keys(own=True)
     if file == "measurement":
         for name, kind in INSTRUMENTS.items():
             options = (o for o in options_of(kind.setup_model, "setup.") if not _has_keys(o))
             yield from (_key(file, o, f'instrument = "{name}"') for o in options)
+
+
+def _hil_keys() -> Iterator[Key]:
+    """The keys of the bench that is installed."""
+    try:
+        options = load_bench().options_model
+    except DriverUnavailable:
+        return
+    example = read_toml(SHIPPED / "hil.toml")["hil"]
+    yield from (_key("run", o, "", example) for o in options_of(options, "hil.") if not _has_keys(o))
 
 
 def _output_keys() -> Iterator[Key]:
@@ -216,7 +228,7 @@ def _example(file: str, option: Option, when: str, table: Mapping[str, Any]) -> 
     for written in (f"{kind}.{name}", whole, as_in_the_map, ".".join(option.name.split(".")[-2:]), name):
         if written in EXAMPLES:
             return f"{name} = {EXAMPLES[written]}"
-    path = option.name.removeprefix("device.NAME.").split(".")
+    path = option.name.removeprefix("device.NAME.").removeprefix("hil.").split(".")
     value = _at(table, path) if table else _at(_shipped(file), path)
     if value is not None:
         return _line(name, value)

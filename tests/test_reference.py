@@ -14,6 +14,7 @@ from rtec.correction.sinks import Sink
 from rtec.loop.driver_info import find
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.reference import FILES, SEVERAL, Key, all_keys, matching, reference
+from rtec_drivers.hil.wiring import HilOptions
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "keys.md"
 
@@ -48,6 +49,7 @@ def test_every_key_of_a_file_is_there(file: str) -> None:
     schema = FILES[file].model_json_schema(by_alias=True)
     several = SEVERAL if file in ("run", "measurement") else ()
     wanted = {path for path in leaves(schema, schema) if path.split(".")[0] not in several}
+    wanted |= {f"hil.{name}" for name in HilOptions.model_fields} if file == "run" else set()
     assert {key.path for key in all_keys() if key.file == file and not key.when} == wanted
 
 
@@ -129,3 +131,10 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean 'stop_um'?" in capsys.readouterr().err
     assert status(["explain"]) == 0
     assert "[device.NAME.slave.NAME.register.NAME]" in capsys.readouterr().out
+
+
+def test_the_keys_of_the_bench_are_explained() -> None:
+    """Oracle: the model that checks `[hil]`."""
+    (key,) = matching("off_s")
+    assert (key.path, key.unit, key.example) == ("hil.off_s", "s", "off_s = 30")
+    assert {k.name for k in matching("hil")} == {"hil", *HilOptions.model_fields}

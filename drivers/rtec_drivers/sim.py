@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import ConfigError, DriverUnavailable
+from rtec.files import beside
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.quantities import MicrometresPositive, RevolutionsPerMinute, Seed
@@ -91,7 +92,7 @@ G1 X40
         self.options = options
         self._clock, self._start_ns = clock, -1
         self._output: IntArray = np.zeros(len(machine.axes), np.int64)
-        self.machine = SimulatedMachine(machine, load_truth(base / options.truth), options.seed)
+        self.machine = SimulatedMachine(machine, load_truth(beside(base, options.truth)), options.seed)
         text = _program_text(options, base)
         if options.warm_up_s > 0:
             self.machine.work(options.warm_up_s, options.warm_up_rpm)
@@ -158,7 +159,7 @@ G1 X40
 def _program_text(options: SimOptions, base: Path) -> str:
     if options.program_file is None:
         return options.program or ""
-    path = base / options.program_file
+    path = beside(base, options.program_file)
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as e:

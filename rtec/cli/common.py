@@ -20,10 +20,34 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Full = Annotated[bool, typer.Option("--full", help="Print all tables, not the verdict and one table.")]
+
+
+def writable_folder(folder: Path | None) -> Path | None:
+    """Callback of an option: refuse a folder that cannot be made or written to, before the work begins."""
+    from rtec.files import cannot_be_made
+
+    if folder is not None and (why := cannot_be_made(folder)):
+        raise typer.BadParameter(f"{folder} cannot be written: {why}")
+    return folder
+
+
+def writable_file(file: Path | None) -> Path | None:
+    """Callback of an option: refuse a file whose folder cannot be made or written to, before the work begins."""
+    from rtec.files import cannot_be_made
+
+    if file is not None and (why := cannot_be_made(file.parent)):
+        raise typer.BadParameter(f"{file} cannot be written: {why}")
+    return file
+
+
 Report = Annotated[
     Path | None,
     typer.Option(
-        "--report", metavar="FOLDER", help="Write figures, report.html and result.json here.", show_default=False
+        "--report",
+        metavar="FOLDER",
+        callback=writable_folder,
+        help="Write figures, report.html and result.json here.",
+        show_default=False,
     ),
 ]
 MachineFile = Annotated[Path, typer.Option("--machine", "-m", help="Machine file.", show_default=False)]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtec.cli.common import Json, print_json
+from rtec.cli.common import Json, print_json, writable_file, writable_folder
 
 if TYPE_CHECKING:
     from rtec.cli.screen import Console
@@ -15,14 +15,18 @@ if TYPE_CHECKING:
 
 def demo(
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder of report, figures and result.")
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", callback=writable_folder, help="Folder of report, figures and result."
+        ),
     ] = Path("out/demo"),
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the day.")] = 1,
     hours: Annotated[
         float, typer.Option("--hours", min=0.5, max=24.0, help="Hours of work; the night is twice as long.")
     ] = 8.0,
     model_out: Annotated[
-        Path | None, typer.Option("--model-out", help="Write the fitted model here, for `rtec run`.")
+        Path | None,
+        typer.Option("--model-out", callback=writable_file, help="Write the fitted model here, for `rtec run`."),
     ] = None,
     configs: Annotated[
         Path | None,

@@ -5,11 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtec.cli.common import Json, completes, print_json
+from rtec.cli.common import Json, completes, print_json, writable_folder
 
 if TYPE_CHECKING:
-    from rtec.hil import Bench, HilOrder, SoakOrder
+    from rtec.hil import Bench, HilOrder, HilResult, SoakOrder, SoakResult
     from rtec.report.page import Page
+
+STOPPED = 130
+"""Exit status after Ctrl-C."""
 
 
 def _faults() -> list[str]:
@@ -65,20 +68,26 @@ def hil(
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", metavar="FOLDER", help="Write figure, report.html, result.json and the log here."),
+        typer.Option(
+            "--report",
+            metavar="FOLDER",
+            callback=writable_folder,
+            help="Write figure, report.html, result.json and the log here.",
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Runs the daemon against simulated hardware behind real serial, Modbus and CAN lines, on the real clock.
 
-    Example: `rtec hil configs/hil.toml --fault modbus-silent@8s+8s --fault box-unplugged@24s+2s --report out/hil`
+    Example: `rtec hil configs/hil.toml --off 40 --on 40 --fault modbus-silent@8s+8s --report out/hil`
 
     Only the ports of the run file's devices change. Behind them an encoder box, Modbus slaves and a CAN adapter run as
     processes of their own. The machine runs uncorrected, then corrected, for some 80 seconds. A run in which everything
     is simulated, of the same machine and programme, is the reference.
 
     Exit status 1 if a check fails: ledger, log, no jump, recovery, improvement within 10 % of the reference; with
-    --soak also memory, open files, threads, deadlines.
+    --soak also memory, open files, threads, deadlines. Ctrl-C in the corrected run ends it: the verdict and the report
+    are those of the time until then.
     """
     from rtec.hil import HilOrder, SoakOrder, load_bench, parse_fault
 
@@ -100,30 +109,32 @@ def hil(
 
 def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:
     """Run uncorrected, then corrected."""
-    from rtec.cli.common import stages
+    from rtec.cli.common import interruptible, stages
     from rtec.report.hil import hil_facts, hil_page
 
-    with stages() as stage:
+    with interruptible(lambda: "the corrected run had not begun, so there is no result"), stages() as stage:
         found = bench.run(order, stage)
     page = hil_page(found, figures=order.keep is not None)
-    _show(page, hil_facts(found), order.keep, as_json, found.passed)
+    _show(page, hil_facts(found), order.keep, as_json, found)
 
 
 def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
     """Make one long corrected run with random faults."""
-    from rtec.cli.common import stages
+    from rtec.cli.common import interruptible, stages
     from rtec.report.hil import soak_facts, soak_page
 
-    with stages() as stage:
+    with interruptible(lambda: "it had run for less than a second, so there is no result"), stages() as stage:
         found = bench.soak(order, stage)
-    _show(soak_page(found), soak_facts(found), order.keep, as_json, found.passed)
+    _show(soak_page(found), soak_facts(found), order.keep, as_json, found)
 
 
-def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, passed: bool) -> None:
+def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, found: "HilResult | SoakResult") -> None:
     from rtec.cli.common import give
 
     give(lambda _: page, facts, as_json=as_json, report=folder)
-    if not passed:
+    if found.stopped:
+        raise typer.Exit(STOPPED)
+    if not found.passed:
         raise typer.Exit(1)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtec.cli.common import Json, completes, print_json
+from rtec.cli.common import Json, completes, print_json, writable_file
 
 if TYPE_CHECKING:
     from rtec.metrology.importing import Imported, ImportProposal
@@ -24,7 +24,10 @@ def import_(
     ] = None,
     map_: Annotated[Path | None, typer.Option("--map", help="Map (TOML): the meaning of each column.")] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="NAME, NAME.csv or NAME.parquet; NAME.toml goes beside it.")
+        Path | None,
+        typer.Option(
+            "-o", "--out", callback=writable_file, help="NAME, NAME.csv or NAME.parquet; NAME.toml goes beside it."
+        ),
     ] = None,
     reader: Annotated[
         str | None,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtec.cli.common import Full, Json, Report
+from rtec.cli.common import Full, Json, Report, writable_file
 
 if TYPE_CHECKING:
     from rtec.diagnosis.extend.add import Added
@@ -21,7 +21,10 @@ def fit(
         typer.Argument(metavar="MEASUREMENT...", help="Measurements made on it, any instruments.", show_default=False),
     ],
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="MODEL", help="Write the model here.", show_default=False)
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="MODEL", callback=writable_file, help="Write the model here.", show_default=False
+        ),
     ],
     effects: Annotated[
         str | None,
@@ -110,7 +113,15 @@ def add(
         typer.Option("--data", metavar="MEASUREMENT...", help="Measurements to refit with.", show_default=False),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="MODEL2", help="Write the new model here.", show_default=False)
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="MODEL2",
+            callback=writable_file,
+            help="Write the new model here.",
+            show_default=False,
+        ),
     ] = None,
     component: Annotated[str | None, typer.Option(help="Component error that it feeds, for example EXX.")] = None,
     settings: Annotated[
@@ -184,7 +195,14 @@ def improve(
     files: Files,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="MODEL2", help="Write here.", show_default="MODEL-improved.toml"),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="MODEL2",
+            callback=writable_file,
+            help="Write here.",
+            show_default="MODEL-improved.toml",
+        ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Add each effect without asking.")] = False,
     seed: Seed = 1,

@@ -11,10 +11,11 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtec.cli.common import Json, print_json
+from rtec.cli.common import Json, print_json, writable_file
 from rtec.cli.screen import Console
 from rtec.control.facts import um_text
 from rtec.text import joined
+from rtec.wording import listed
 
 if TYPE_CHECKING:
     from rtec.daemon.supervisor import Report, Status
@@ -142,6 +143,13 @@ def show_dry_run(setup: "Setup", found: dict[str, Any]) -> None:
     console.print(table)
     for axis, um in found["requested_um"].items():
         console.print(f"axis {axis}: the model would ask for {um_text(um)} µm", highlight=False)
+    if found["unread"]:
+        console.print(
+            f"the correction cannot be computed: the model reads {listed(found['unread'])}, never read here",
+            style="yellow",
+            markup=False,
+            highlight=False,
+        )
     for reason in found["reasons"]:
         console.print(f"would hold: {reason}", style="yellow")
     for trouble in found["troubles"]:
@@ -284,7 +292,12 @@ def replay(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Write here; by default beside the log, with 'replay' in its name."),
+        typer.Option(
+            "--out",
+            "-o",
+            callback=writable_file,
+            help="Write here; by default beside the log, with 'replay' in its name.",
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -5,14 +5,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtec.cli.common import Json, print_json
+from rtec.cli.common import Json, print_json, writable_file
 
 if TYPE_CHECKING:
     from rtec.sim.campaign.campaign import Simulated
 
 _Machine = Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)]
 _Instrument = Annotated[str, typer.Option("--instrument", "-i", help="Instrument, for example laser_linear.")]
-_Out = Annotated[Path, typer.Option("--out", "-o", metavar="NAME", help="Writes NAME.csv (or .parquet) and NAME.toml.")]
+_Out = Annotated[
+    Path,
+    typer.Option(
+        "--out", "-o", metavar="NAME", callback=writable_file, help="Writes NAME.csv (or .parquet) and NAME.toml."
+    ),
+]
 _Axis = Annotated[str | None, typer.Option(help="Axis that the instrument follows.")]
 _Component = Annotated[
     str | None,
@@ -25,7 +30,9 @@ _Truth = Annotated[Path | None, typer.Option(metavar="MODEL", help="Model file w
 _Effect = Annotated[
     list[str] | None, typer.Option(metavar="EFFECT", help="One more true effect: NAME,key=value,...; repeatable.")
 ]
-_TruthOut = Annotated[Path | None, typer.Option(metavar="MODEL", help="Write the true effects as a model file.")]
+_TruthOut = Annotated[
+    Path | None, typer.Option(metavar="MODEL", callback=writable_file, help="Write the true effects as a model file.")
+]
 _Seed = Annotated[int, typer.Option(min=0, help="Same seed, same files.")]
 _Settings = Annotated[
     Path | None, typer.Option(metavar="TOML", help="Targets, phases, temperatures, noise; options override it.")

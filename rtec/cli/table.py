@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtec.cli.common import Json, completes, print_json, show_page
+from rtec.cli.common import Json, completes, print_json, show_page, writable_file
 from rtec.cli.help import App, Group
 from rtec.cli.model import MachineFile, ModelFile
 
@@ -73,7 +73,9 @@ def write(
     model: ModelFile,
     *,
     axis: AxisName = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Write the table here.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", callback=writable_file, help="Write the table here.", show_default=False)
+    ],
     format_name: Format = "linuxcnc",
     at: At = None,
     cross: Cross = None,

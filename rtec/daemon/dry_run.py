@@ -40,8 +40,8 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         wait_s: longest wait for readings.
 
     Returns:
-        `inputs`: (name, value, age) as text; `requested_um` by axis, empty without counts; `reasons` for which the
-        guard would hold;
+        `inputs`: (name, value, age) as text; `requested_um` by axis, empty without counts or without a temperature that
+        the model reads; `unread`: those temperatures; `reasons` for which the guard would hold;
         `troubles` of devices, and of the folders for log and state.
 
     Raises:
@@ -75,10 +75,16 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     known = zero.known and read
     if not known:
         flags &= ~int(Flag.OUT_OF_RANGE)
+    unread = [
+        name
+        for name, degc in zip(step.layout.sensors, sample.degc[0].tolist(), strict=True)
+        if name in setup.model.channels and not np.isfinite(degc)
+    ]
     requested = dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True))
     return {
         "inputs": input_rows(setup, sample, known),
-        "requested_um": requested if read else {},
+        "requested_um": requested if read and not unread else {},
+        "unread": unread,
         "reasons": [
             *(text for text in (zero.why, zero.restarted, beyond(step, output)) if text),
             *(text for flag, text in REASONS.items() if flag & Flag(flags)),

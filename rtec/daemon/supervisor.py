@@ -248,7 +248,7 @@ class Supervisor:
         return Report(
             summary=summary,
             warnings=self.warnings,
-            log=self._recording.path,
+            log=_made(self._recording.path),
             overruns=ring.overruns + disk.missed,
             interrupted=self._interrupted,
             status=self.status,
@@ -444,3 +444,8 @@ def _died(code: int | None, last_words: str) -> str:
         f"the loop's process {how}: nothing is commanded any more. Ledger and mode are kept; start it again, and it "
         f"goes on from there; {again}; the last rows are in the log"
     )
+
+
+def _made(log: Path | None) -> Path | None:
+    """The log, if there is one: on a full disk it may never have been made."""
+    return log if log is not None and log.exists() else None

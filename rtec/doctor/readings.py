@@ -230,6 +230,7 @@ class DeviceReadings:
 
 LINE_KEYS = ("baud", "bytesize", "parity", "stopbits")
 SILENT_WORDS = ("no answer", "not answer", "silent", "no connection", "no reading", "no such port", "no port")
+HEARD_WORDS = ("received: ",)
 REACHED_WORDS = ("the connection is open", "the gateway is there")
 NUISANCE = {
     "rtec": "that is `rtec run`: `rtec status` shows its devices; to look at them here stop it first",
@@ -329,6 +330,8 @@ def _serial_ways(place: SerialPlace, error: Exception, heard: bool, root: Path) 
 
 def _silent(error: Exception) -> bool:
     """Does nothing arrive? A driver of several devices may report that as a fault of some."""
+    if any(word in str(error) for word in HEARD_WORDS):
+        return False
     return not isinstance(error, DriverFault) or any(word in str(error) for word in SILENT_WORDS)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
+from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult, tally
 from rtec.report.figures import GREY, KINDS, as_png, room_above, stacked
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.result import plain
@@ -58,6 +58,7 @@ def tip_errors(
 
 
 NOT_YET = "never"
+NOT_JUDGED = "not judged"
 
 
 def hil_facts(found: HilResult) -> Any:
@@ -65,17 +66,14 @@ def hil_facts(found: HilResult) -> Any:
     facts = plain(
         {f.name: getattr(found, f.name) for f in dataclasses.fields(found) if f.name not in ("course", "log")}
     )
-    facts["buses"]["factor"], facts["simulated"]["factor"] = plain([found.buses.factor, found.simulated.factor])
-    facts["factor_ratio"] = plain(found.buses.factor / found.simulated.factor)
+    factors = [c.factor if found.comparable else math.nan for c in (found.buses, found.simulated)]
+    facts["buses"]["factor"], facts["simulated"]["factor"] = plain(factors)
+    facts["factor_ratio"] = plain(factors[0] / factors[1])
     return facts | {"passed": found.passed, "log": str(found.log) if found.log else None}
 
 
 def hil_page(found: HilResult, figures: bool = True) -> Page:
     """The report; without figures for the terminal."""
-    lead = (
-        f"{found.machine}: {found.buses.factor:.1f} times more accurate with correction behind real buses, "
-        f"{found.simulated.factor:.1f} times all simulated."
-    )
     sections = [_accuracy(found), _timing(found)]
     if found.faults:
         sections.append(_faults(found))
@@ -84,27 +82,40 @@ def hil_page(found: HilResult, figures: bool = True) -> Page:
         sections.append(Section("Messages of the system", found.warnings))
     if figures:
         sections.insert(0, _accuracy_figure(found))
-    numbers = [
-        ("uncorrected, rms", f"{found.buses.off.rms_um:.1f} µm"),
-        ("corrected, rms", f"{found.buses.on.rms_um:.1f} µm"),
-        (
-            "checks passed",
-            f"{sum(c.passed and c.judged for c in found.checks)} of {sum(c.judged for c in found.checks)}",
-        ),
-    ]
-    return Page("Hardware in the loop", lead, numbers, sections)
+    off, on = (f"{a.rms_um:.1f} µm" if found.comparable else NOT_JUDGED for a in (found.buses.off, found.buses.on))
+    numbers = [("uncorrected, rms", off), ("corrected, rms", on), ("checks passed", tally(found.checks))]
+    return Page("Hardware in the loop", _lead(found), numbers, sections)
+
+
+def _lead(found: HilResult) -> str:
+    stopped = f"stopped after {significant(found.on_s)} s of the corrected run; " if found.stopped else ""
+    failed = [c.name for c in found.checks if not c.good]
+    end = f" FAILED: {', '.join(failed)}." if failed else ""
+    if not found.comparable:
+        return (
+            f"{found.machine}: {stopped}the improvement was not judged: only {found.compared_s:.1f} s of both runs can "
+            f"be compared.{end}"
+        )
+    shared = "" if found.checks[-1].judged else " (reported, not judged, as this PC is shared)"
+    return (
+        f"{found.machine}: {stopped}{found.buses.factor:.1f} times more accurate with correction behind real buses, "
+        f"{found.simulated.factor:.1f} times all simulated{shared}.{end}"
+    )
 
 
 def _accuracy(found: HilResult) -> Section:
     together = ", ".join(found.course.directions)
     wires = "; ".join(f"{device}: {bus}" for device, bus in found.wiring.items())
-    rows = [_row(f"{together} together, rms", _of(found, attrgetter("rms_um")))]
-    rows += [_row(f"{d}, rms", _of(found, partial(_rms_in, d))) for d in found.course.directions]
-    rows.append(_row("largest", _of(found, attrgetter("largest_um"))))
+    picks: list[tuple[str, Callable[[Accuracy], float]]] = [(f"{together} together, rms", attrgetter("rms_um"))]
+    picks.append((f"{together} together, largest", attrgetter("largest_um")))
+    picks += [(f"{d}, rms", partial(_rms_in, d)) for d in found.course.directions]
+    rows = [_row(name, _of(found, pick), factors=found.comparable) for name, pick in picks]
     head = ("tool-tip error, µm", "buses: off", "on", "factor", "simulated: off", "on", "factor")
     text = (
         f"Behind real buses ({wires}), and the same machine and programme without any bus on a virtual clock. "
-        f"{found.off_s:g} s off, {found.on_s:g} s on; without the times of settling and of faults.",
+        f"{found.off_s:g} s off, {found.on_s:g} s on. All are over the same {found.compared_s:.1f} s of the programme: "
+        "what both runs have, without the times of settling, faults and holds.",
+        "Together: length of the error vector, over these directions.",
     )
     return Section("Accuracy", text, Table(head, rows))
 
@@ -117,17 +128,11 @@ def _rms_in(direction: str, accuracy: Accuracy) -> float:
     return accuracy.axis_rms_um[direction]
 
 
-def _row(name: str, um: Sequence[float]) -> tuple[str, ...]:
-    buses_off, buses_on, off, on = um
-    return (
-        name,
-        number(buses_off),
-        number(buses_on),
-        number(buses_off / buses_on, 1) if buses_on else number(math.nan),
-        number(off),
-        number(on),
-        number(off / on, 1) if on else number(math.nan),
-    )
+def _row(name: str, um: Sequence[float], *, factors: bool) -> tuple[str, ...]:
+    cells = [name]
+    for off, on in (um[:2], um[2:]):
+        cells += [number(off), number(on), number(off / on if factors and on else math.nan, 1)]
+    return tuple(cells)
 
 
 def _timing(found: HilResult) -> Section:
@@ -209,9 +214,12 @@ def soak_page(found: SoakResult) -> Page:
     """The report."""
     times = sum(f.times for f in found.faults)
     failed = [c.name for c in found.checks if not c.good]
-    verdict = f"FAILED: {', '.join(failed)}" if failed else "all checks passed"
+    verdict = f"FAILED: {', '.join(failed)}" if failed else f"checks passed: {tally(found.checks)}"
+    minutes = significant(found.duration_s / 60.0)
+    if found.stopped:
+        minutes = f"stopped after {minutes} of {significant(found.ordered_s / 60.0)}"
     lead = (
-        f"{found.machine}: {significant(found.duration_s / 60.0)} minutes at {found.rate_hz:g} Hz behind real buses, "
+        f"{found.machine}: {minutes} minutes at {found.rate_hz:g} Hz behind real buses, "
         f"{times} faults (seed {found.seed}): {verdict}."
     )
     sections = [_resources(found), _soak_timing(found), _soak_faults(found), _checks(found)]
@@ -220,10 +228,7 @@ def soak_page(found: SoakResult) -> Page:
     numbers = [
         ("faults", str(times)),
         ("deadlines lost", f"{found.deadlines.lost} of {found.timing['cycles']}"),
-        (
-            "checks passed",
-            f"{sum(c.passed and c.judged for c in found.checks)} of {sum(c.judged for c in found.checks)}",
-        ),
+        ("checks passed", tally(found.checks)),
     ]
     return Page("Long run against simulated hardware", lead, numbers, sections)
 

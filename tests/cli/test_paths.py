@@ -5,7 +5,10 @@ import stat
 from pathlib import Path
 
 import pytest
+import typer
 
+from rtec.cli.main import application
+from rtec.files import cannot_be_made
 from tests.support.command import here
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -112,3 +115,63 @@ def test_a_folder_is_not_read(
     message = refused(*[place if w == "@" else w for w in command])
     assert place in message
     assert "Traceback" not in message
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("compare", "none.toml", "none.csv", "--report"),
+        ("fit", MACHINE, "none.csv", "-o", "m2.toml", "--report"),
+        ("fit", MACHINE, "none.csv", "-o"),
+        ("improve", "none.toml", "none.csv", "--yes", "-o"),
+        ("add", "none.toml", "scale", "--data", "none.csv", "-o"),
+        ("simulate", MACHINE, *LASER, "-o"),
+        ("simulate", MACHINE, *LASER, "-o", "o", "--truth-out"),
+        ("import", "none.csv", "-o"),
+        ("hil", "none.toml", "--report"),
+        ("demo", "--out"),
+        ("demo", "--model-out"),
+    ],
+    ids=lambda c: f"{c[0]} {c[-1]}",
+)
+def test_where_nothing_can_be_written_is_said_before_the_work(folder: Path, command: tuple[object, ...]) -> None:
+    """Oracle: the inputs do not exist, so a message on the output comes before any is read. Nothing is made."""
+    a_file = folder / "lx.csv"
+    before = sorted(folder.iterdir())
+    said = refused(*command, a_file / "new" / "x")
+    assert "cannot be written" in " ".join(said.replace("│", " ").split())
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_report_is_checked_in_every_command() -> None:
+    """Oracle: the command line itself."""
+    group = typer.main.get_command(application())
+    found = [
+        (name, option)
+        for name, command in getattr(group, "commands").items()  # noqa: B009
+        for option in command.params
+        if "--report" in option.opts
+    ]
+    assert len(found) > 12
+    for name, option in found:
+        with pytest.raises(typer.BadParameter, match="is no folder"):
+            option.process_value(typer.Context(group), f"{__file__}/new"), name
+
+
+def test_a_folder_that_may_not_be_written_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: `os.access`, of which root is told otherwise."""
+    assert cannot_be_made(tmp_path / "a" / "b") == ""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert cannot_be_made(tmp_path / "a" / "b") == f"{tmp_path} may not be written to"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["tip", "tip.csv"])
+def test_a_simulation_does_not_replace_its_own_settings(tmp_path: Path, name: str) -> None:
+    """Oracle: the settings file, unchanged."""
+    settings = tmp_path / "tip.toml"
+    settings.write_text("cycles = 2\n", encoding="utf-8")
+    said = refused("simulate", MACHINE, *LASER, "--settings", settings, "-o", tmp_path / name)
+    assert "is read by this simulation" in said
+    assert settings.read_text(encoding="utf-8") == "cycles = 2\n"
+    assert list(tmp_path.iterdir()) == [settings]

@@ -452,3 +452,33 @@ def test_a_pattern_from_a_line(text: str, names: tuple[str, ...], values: tuple[
     assert match is not None
     assert tuple(match[name] for name in names) == values
     assert places_of("no number", names) == {}
+
+
+def test_paths_that_lead_out_of_a_folder_that_is_not_there_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the same answers where the folder exists. Without it the kernel finds no `new/..`."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "truth.toml").write_text(
+        "[body.bed]\ncapacity_j_per_k = 1.0\nto_air_w_per_k = 1.0\n"
+        '[spindle]\nw_at_1000_rpm = 3.0\nexponent = 1.3\nshares = { bed = 1.0 }\n[axis.X.screw]\nbodies = ["bed"]\n',
+        encoding="utf-8",
+    )
+    (tmp_path / "answers.toml").write_text(
+        """template = "axis"
+name = "m"
+mode = "hold"
+sensors = []
+[role]
+counts = "m"
+actuator = "m"
+[device.m]
+driver = "sim"
+truth = "../truth.toml"
+""",
+        encoding="utf-8",
+    )
+    (tmp_path / "old").mkdir()
+    for folder in ("old", "new"):
+        assert status(["init", folder, "--answers", "answers.toml", "--no-check"]) == 0, capsys.readouterr().err
+    assert (tmp_path / "old" / "run.toml").read_text() == (tmp_path / "new" / "run.toml").read_text()

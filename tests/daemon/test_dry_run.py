@@ -50,6 +50,17 @@ def test_one_that_stays_silent_is_named_and_ends_with_status_1(
     assert len(found["troubles"]) == 1
     assert "device polled: " in found["troubles"][0]
     assert "T_bed" in found["troubles"][0]
+    assert (found["unread"], found["requested_um"]) == (["T_bed"], {})
+
+
+def test_without_the_temperatures_no_correction_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the model's own channels. It had been +0.00 µm for each axis."""
+    setups.setup(tmp_path)
+    path = run_file(tmp_path, {"counts": "box", "actuator": "box", "temperatures": []}, {"box": sim(tmp_path)})
+    assert status(["run", str(path), "--dry-run"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the model would ask for" not in said
+    assert "cannot be computed: the model reads T_spindle_front and T_bed, never read here" in said
 
 
 @pytest.mark.parametrize("key", ["log_folder", "state_folder"])

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtec.doctor.readings import ways
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec.tomlfile import validated
@@ -202,6 +203,30 @@ def test_a_decimal_point_where_a_comma_is_expected() -> None:
         wire.says(b"\n")
         for text in (b"1.021,5", b"1.021"):
             assert f"T_bed: '{text.decode()}' is no number" in wire.says(b"T1=%s T2=1\n" % text)
+
+
+def test_lines_without_their_end_are_shown_as_they_came() -> None:
+    """Oracle: the bytes that were written. They never end as `line_end` says, so they are no line."""
+    with Wire(patterns=[r"X(?P<X>\S+) Z(?P<Z>\S+)"], max_speed_mm_s={"X": 400.0, "Z": 400.0}) as wire:
+        os.write(wire.master, b"X=58.46 Z=1" * 5)
+        wire.clock.sleep_until_ns(wire.clock.now_ns() + 100 * MS)
+        with pytest.raises(DriverTimeout, match=r"positions yet; received: '.*X=58\.46 Z=1'") as told:
+            wire.driver.read_counts(np.zeros(2, np.int64))
+        place = wire.driver.options
+        assert not any("switched on" in way for way in ways(place, told.value, heard=False))
+        assert "received" in wire.look(11_000 * MS)
+
+
+def test_a_number_that_was_read_again_is_no_fault_though_the_position_is_lost() -> None:
+    """Oracle: the newest line is good; only the lost position is reported, which waits for the order to resume."""
+    options = {"patterns": [r"X(?P<X>\S+) Z(?P<Z>\S+)"], "max_speed_mm_s": {"X": 400.0, "Z": 400.0}}
+    with Wire(**options, units={"X": "mm", "Z": "mm"}) as wire:
+        assert wire.says(b"\nX1.5 Z0\n") == ""
+        assert "'1,5' is no number" in wire.says(b"X1,5 Z0\n")
+        for _ in range(3):
+            told = wire.says(b"X300 Z0\n")
+        assert "is no number" not in told
+        assert "the position is not known" in told
 
 
 def test_silence_is_told_and_the_port_opened_again(wire: Wire) -> None:

@@ -16,11 +16,12 @@ import pytest
 from rtec.correction.flags import MODE_ON, MODE_TAKEN_OVER, Flag
 from rtec.daemon.status import Status
 from rtec.errors import ConfigError
-from rtec.hil import Accuracy, FaultOrder, OffAndOn, load_bench, parse_fault
+from rtec.hil import Accuracy, Check, Course, FaultOrder, HilResult, OffAndOn, load_bench, parse_fault
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
+from rtec.report.hil import hil_facts, hil_page
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.can.signals import Dbc
@@ -28,6 +29,8 @@ from rtec_drivers.hil.bus_devices import adapter, crc, slave_line
 from rtec_drivers.hil.bus_run import Logbook, held_spans, read_logbook
 from rtec_drivers.hil.faults import AFTER_S, FAULTS, FaultWatch
 from rtec_drivers.hil.findings import (
+    RECOVER_S,
+    compared_spans,
     faults_found,
     given_astray,
     held_check,
@@ -37,7 +40,7 @@ from rtec_drivers.hil.findings import (
 )
 from rtec_drivers.hil.injector import can_switches, modbus_switches
 from rtec_drivers.hil.plant import TipTrack, accuracy
-from rtec_drivers.hil.soak import RECOVER_S, Resources, ResourceSeries, TimeStretch, draw_faults
+from rtec_drivers.hil.soak import Resources, ResourceSeries, TimeStretch, draw_faults
 from rtec_drivers.hil.wiring import read_wiring
 from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.modbus.frame import HOLDING, INPUT, ModbusRequest, find_rtu
@@ -211,6 +214,8 @@ def test_the_run_file_stays_as_it_is_but_for_its_ports(tmp_path: Path) -> None:
     [
         (lambda t: t.pop("hil"), r"\[hil\] is missing"),
         (lambda t: t["hil"].update(of_s=3), "did you mean 'off_s'"),
+        (lambda t: t["hil"].update(program="G9 X1"), r"hil\.toml: \[hil\] program line 1"),
+        (lambda t: t["hil"].update(truth="none.toml"), r"hil\.toml: \[hil\] .*none\.toml: no such file"),
         (lambda t: t["hil"].update(actuator="phase"), "inserts counts"),
         (lambda t: t["device"]["sensors"].update(driver="zmq_link"), "no far side"),
         (lambda t: t["device"].pop("box"), "needs one encoder box"),
@@ -265,7 +270,7 @@ def test_what_a_fault_did() -> None:
     first, second = faults_found(faults, logbook, track, _watch(faults), 30.0, ("X", "Z"))
     assert first.held_s == pytest.approx(5.02, abs=0.01)
     assert first.recovered_s == pytest.approx(2.0, abs=0.01)
-    assert first.largest_um == 9.0
+    assert first.largest_um == pytest.approx(9.0 * math.sqrt(2.0))
     assert first.oldest_s == {"T": 3.0}
     assert math.isnan(second.recovered_s)
     assert math.isnan(first.noticed_s)
@@ -322,7 +327,7 @@ def test_accuracy_is_the_root_mean_square_of_the_directions() -> None:
     track.tip_um[:, 0], track.tip_um[:, 1], track.tip_um[:, 2] = 3.0, 100.0, -4.0
     found = accuracy(track, ("X", "Z"), [(0.0, 30.0)])
     assert found.rms_um == pytest.approx(5.0)
-    assert found.largest_um == 4.0
+    assert found.largest_um == pytest.approx(5.0)
     assert found.axis_rms_um == {"X": pytest.approx(3.0), "Z": pytest.approx(4.0)}
     assert math.isnan(accuracy(track, ("X",), []).rms_um)
 
@@ -334,8 +339,71 @@ def test_the_improvement_must_be_that_of_the_simulation(on_um: float, passed: bo
 
     assert improvement_check(comparison(on_um), comparison(1.0), [(4.0, 30.0)]).passed is passed
     short = improvement_check(comparison(9.0), comparison(1.0), [(4.0, 8.0)])
-    assert short.passed
-    assert "not judged" in short.found
+    assert not short.passed
+    assert not short.judged
+    assert short.good
+    assert "not judged" in short.words
+
+
+def test_without_a_correction_there_is_no_improvement_whatever_the_durations() -> None:
+    """Oracle: both runs have the same errors, so the factor is 1. The errors change along the programme."""
+    logbook = _logbook([])
+    track = _track(logbook)
+    track.tip_um[:] = np.random.default_rng(1).normal(size=(len(track.time_s), 3)) * (1.0 + track.time_s[:, None])
+    for off_s, on_s in ((25.0, 8.0), (8.0, 25.0), (12.0, 30.0)):
+        spans = compared_spans([(4.0, 6.0), (9.0, on_s)] if on_s > 9.0 else [(4.0, on_s)], off_s)
+        off, on = (TipTrack(*(v[track.time_s < end] for v in vars(track).values())) for end in (off_s, on_s))
+        assert max(high for _, high in spans) <= min(off_s, on_s)
+        assert OffAndOn(accuracy(off, ("X", "Z"), spans), accuracy(on, ("X", "Z"), spans)).factor == 1.0
+    assert compared_spans([(10.0, 20.0)], 8.0) == []
+
+
+def _result(compared_s: float, checks: list[Check], *, stopped: bool = False) -> HilResult:
+    off, on = Accuracy(24.0, 30.0, {"X": 24.0}), Accuracy(10.0, 12.0, {"X": 10.0})
+    times = {"p50_us": 1.0, "p99_us": 1.0, "max_us": 1.0}
+    timing = {"cycles": 1, "deadline_misses": 0, "wake_up": times, "compute": times, "devices": {}}
+    no = np.zeros(0)
+    return HilResult(
+        machine="mill",
+        rate_hz=500.0,
+        off_s=8.0,
+        on_s=35.0,
+        wiring={},
+        buses=OffAndOn(off, on),
+        simulated=OffAndOn(off, on),
+        compared_s=compared_s,
+        off_timing=timing,
+        on_timing=timing,
+        faults=[],
+        checks=checks,
+        warnings=[],
+        course=Course(("X",), no, no, no),
+        stopped=stopped,
+    )
+
+
+def test_what_was_not_judged_is_neither_claimed_nor_counted() -> None:
+    """Oracle: one check passed, two were not judged, for different reasons; 0.2 s are too few to compare."""
+    comparison = OffAndOn(Accuracy(24.0, 0.0, {}), Accuracy(10.0, 0.0, {}))
+    checks = [
+        Check("ledger", passed=True, found="exact"),
+        Check("held", passed=True, found="never", judged=False),
+        improvement_check(comparison, comparison, [(4.0, 4.2)]),
+    ]
+    page = hil_page(_result(0.2, checks), figures=False)
+    assert "times more accurate" not in page.lead
+    assert "not judged" in page.lead
+    assert dict(page.numbers)["checks passed"] == "1 of 1, 2 not judged"
+    table = page.sections[-1].table
+    assert table is not None
+    assert [row[0] for row in table.rows] == ["yes", "-", "-"]
+    assert "this PC is shared" not in table.rows[2][2]
+    assert hil_facts(_result(0.2, checks))["buses"]["factor"] is None
+    checks[-1] = improvement_check(comparison, comparison, [(4.0, 30.0)])
+    enough = hil_page(_result(26.0, checks), figures=False)
+    assert "2.4 times more accurate" in enough.lead
+    assert dict(enough.numbers)["checks passed"] == "2 of 2, 1 not judged"
+    assert "stopped after 35.0 s" in hil_page(_result(26.0, checks, stopped=True), figures=False).lead
 
 
 def test_the_watch_orders_to_resume_and_puts_words_down_to_their_bus() -> None:
@@ -410,7 +478,8 @@ def test_growth_is_seen() -> None:
     resources._series["loop", "files"] = _series([19.0] * 100 + [20.0] * 20)
     assert [c.passed for c in resources.checks(1e6)[:3]] == [False, False, True]
     resources._cycles = 60_000
-    assert [c.passed for c in resources.checks(1e6)[:3]] == [True, False, True]
+    assert [c.good for c in resources.checks(1e6)[:3]] == [True, False, True]
+    assert [c.judged for c in resources.checks(1e6, stopped=True)[:3]] == [False] * 3
 
 
 def test_lost_deadlines_are_put_down_to_their_cause() -> None:

@@ -79,3 +79,25 @@ def test_on_a_full_disk_the_correction_goes_on_and_every_row_is_accounted_for(tm
     assert np.abs(list(facts["applied_um"].values())).max() > 10.0
     (told,) = [w for w in facts["warnings"] if w.startswith("logging stopped, the correction went on")]
     assert "No space left on device" in told
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to mount a small disk")
+def test_a_log_that_was_never_made_is_not_named(tmp_path: Path) -> None:
+    """Oracle: the kernel's ENOSPC on a disk that has no room for another file."""
+    content: dict[str, Any] = setups.tables(tmp_path)
+    content["run"]["state_folder"] = str(tmp_path)
+    config = setups.write(tmp_path, content)
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=8k,nr_inodes=2", "tmpfs", str(folder)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no right to mount a small disk")
+    try:
+        (folder / "full").touch()
+        done = rtec("run", config, "--duration", 1, "--json")
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    assert facts["rows_not_logged"] == facts["cycles"] == 1000
+    assert facts["log"] is None

@@ -209,6 +209,8 @@ class ReadingBook:
             if name not in self._axes:
                 self._take_one(name, value, instant_ns, now_ns)
         if self._tracker is not None and all(name in printed.values for name in self._axes):
+            for name in self._axes:
+                self.faults.pop(name, None)
             self._take_axes(self._tracker, [round(printed.values[name]) for name in self._axes], instant_ns, now_ns)
         self.faults.update(printed.faults)
         return bool(printed.values)
@@ -230,12 +232,13 @@ class ReadingBook:
             return
         self.faults.pop("axes", None)
         for name, value in zip(self._axes, values, strict=True):
-            self.faults.pop(name, None)
             self.values[name] = (value, instant_ns)
 
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
+SHOWN: Final = 60
+"""Received bytes that a message shows."""
 READS_PER_POLL = 4
 """Reads of up to 4 kB; a device that floods the line is read on at the next call."""
 
@@ -290,6 +293,7 @@ units = {T_air = "degf"}
         self._entered = False
         self._reader: LineReader = self._parser.reader()
         self._polled_ns = self._heard_ns = self._requested_ns = 0
+        self._received = b""
 
     def __enter__(self) -> Self:
         """Open the port.
@@ -347,7 +351,7 @@ units = {T_air = "degf"}
         if not self._book.has_axes:
             raise DriverFault(f"{self.options.place}: no pattern names the axes {', '.join(names)}")
         if names[0] not in self._book.values:
-            raise DriverTimeout(f"{self.options.place}: no line with the axes' positions yet")
+            raise DriverTimeout(f"{self.options.place}: no line with the axes' positions yet{self._came()}")
         for i, name in enumerate(names):
             counts[i] = int(self._book.values[name][0])
         return self._book.values[names[0]][1]
@@ -362,7 +366,7 @@ units = {T_air = "degf"}
         self._tell(self._poll())
         value, instant_ns = self._book.values.get(SPINDLE, (0.0, -(2**62)))
         if self._clock.now_ns() - instant_ns > self.options.silent_reopen_s * 1e9:
-            raise DriverTimeout(f"{self.options.place}: no spindle speed was printed")
+            raise DriverTimeout(f"{self.options.place}: no spindle speed was printed{self._came()}")
         return value
 
     def _connect(self) -> SerialLine:
@@ -372,7 +376,7 @@ units = {T_air = "degf"}
         return line
 
     def _adopt(self, line: SerialLine) -> SerialLine:
-        self._line, self._reader = line, self._parser.reader()
+        self._line, self._reader, self._received = line, self._parser.reader(), b""
         now_ns = self._clock.now_ns()
         self._polled_ns = self._heard_ns = now_ns
         self._requested_ns = now_ns - round(self.options.request_period_s * 1e9)
@@ -409,14 +413,21 @@ units = {T_air = "degf"}
             received = line.read()
             if not received:
                 break
+            self._received = (self._received + received)[-SHOWN:]
             for text in self._reader.feed(received):
                 if self._book.take(text, before_ns, now_ns):
-                    self._heard_ns = now_ns
+                    self._heard_ns, self._received = now_ns, b""
         self._polled_ns = now_ns
         self._request(line, now_ns)
         silent_s = (now_ns - self._heard_ns) * 1e-9
         if silent_s > self.options.silent_reopen_s:
-            raise DriverUnavailable(f"{line.device}: nothing to be understood for {silent_s:.1f} s")
+            raise DriverUnavailable(f"{line.device}: nothing to be understood for {silent_s:.1f} s{self._came()}")
+
+    def _came(self) -> str:
+        """The newest bytes received since the last reading, for a message; "" where none came."""
+        if not self._received:
+            return ""
+        return f"; received: {self._received.decode(self.options.encoding, 'replace')!r}"
 
     def _request(self, line: SerialLine, now_ns: int) -> None:
         if self.options.request is None or now_ns - self._requested_ns < self.options.request_period_s * 1e9:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
+from rtec.files import beside
 from rtec.loop.clock import Clock
 from rtec.loop.ports import Scanner
 from rtec.machine import Machine
@@ -126,7 +127,7 @@ map = ["i32"]
 
     def __init__(self, options: CanTemperatureOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
         self._options, self._clock = options, clock
-        dbc = Dbc(None if options.dbc is None else base / options.dbc)
+        dbc = Dbc(None if options.dbc is None else beside(base, options.dbc))
         self._readings = TemperatureReadings(machine.sensor_names, options.temperature)
         faults: list[str] = []
         self._sources = {n: _source(dbc, t, f"temperature {n!r}", faults) for n, t in options.temperature.items()}

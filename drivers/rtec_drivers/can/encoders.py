@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout
+from rtec.files import beside
 from rtec.loop.clock import Clock
 from rtec.loop.ports import Scanner
 from rtec.machine import Axis, Machine
@@ -112,7 +113,7 @@ max_speed_mm_s = 500
         if wrong:
             raise ConfigError("\n".join(wrong))
         self._options, self._clock, self._names = options, clock, names
-        dbc = Dbc(None if options.dbc is None else base / options.dbc)
+        dbc = Dbc(None if options.dbc is None else beside(base, options.dbc))
         self._sources = [dbc.source(options.axis[n], scaled=False) for n in names]
         wrong = [
             f"axis {n!r}: bits = {options.bits}, but its number in the frame has {s.bits}: it would wrap unseen"

@@ -20,7 +20,9 @@ from rtec.loop.step import Step
 from rtec_drivers.hil.bus_run import BusRun, ends_politely, every_ms_of, held_spans, run_on_buses
 from rtec_drivers.hil.faults import FAULTS, Bus
 from rtec_drivers.hil.findings import (
+    RECOVER_S,
     checks_of,
+    compared_spans,
     faults_found,
     held_check,
     improvement_check,
@@ -28,8 +30,8 @@ from rtec_drivers.hil.findings import (
     unheld_spans,
 )
 from rtec_drivers.hil.plant import Recorder, TipTrack, accuracy, directions, errors_um
-from rtec_drivers.hil.soak import RECOVER_S, soak
-from rtec_drivers.hil.wiring import Wiring, read_wiring
+from rtec_drivers.hil.soak import soak
+from rtec_drivers.hil.wiring import HilOptions, Wiring, read_wiring
 from rtec_drivers.sim import SimDriver
 
 TOLD_CYCLES = 1000
@@ -79,6 +81,8 @@ WORDS: Mapping[Bus, str] = {
 
 class HilBench:
     """Puts the simulated machine of a run file's `[hil]` behind the buses of its devices."""
+
+    options_model = HilOptions
 
     def faults(self) -> Mapping[str, str]:
         """All faults: name, and description."""
@@ -138,12 +142,13 @@ def _result(
 ) -> HilResult:
     names = directions(on.setup.machine)
     settle_s = wiring.options.settle_s
-    off_s, on_s = (run.report.summary["cycles"] / run.setup.file.run.rate_hz for run in (off, on))
+    off_s, on_s = off.duration_s, on.duration_s
     found = faults_found(order.faults, on.logbook, on.track, on.watch, on_s, names)
-    calm = [(settle_s, off_s)]
     quiet = unheld_spans(quiet_spans(found, settle_s, on_s), held_spans(on.logbook, on.start_ns))
-    buses = OffAndOn(accuracy(off.track, names, calm), accuracy(on.track, names, quiet))
-    alike = OffAndOn(accuracy(simulated[0], names, calm), accuracy(simulated[1], names, quiet))
+    spans = compared_spans(quiet, off_s)
+    buses, alike = (
+        OffAndOn(accuracy(a, names, spans), accuracy(b, names, spans)) for a, b in ((off.track, on.track), simulated)
+    )
     return HilResult(
         machine=on.setup.machine.name,
         rate_hz=on.setup.file.run.rate_hz,
@@ -152,6 +157,7 @@ def _result(
         wiring={name: _words(bus, wiring) for name, bus in wiring.buses.items()},
         buses=buses,
         simulated=alike,
+        compared_s=sum(high - low for low, high in spans),
         off_timing=_timing(off),
         on_timing=_timing(on),
         faults=found,
@@ -159,11 +165,12 @@ def _result(
             *checks_of("uncorrected", off, (), not order.shared),
             *checks_of("corrected", on, found, not order.shared),
             held_check("corrected", on, order.faults, not order.shared),
-            improvement_check(buses, alike, quiet, not order.shared),
+            improvement_check(buses, alike, spans, not order.shared),
         ],
         warnings=list(dict.fromkeys([*off.warnings, *on.warnings])),
         course=_course(off.track, on.track, names),
         log=on.log if order.keep else None,
+        stopped=on.report.interrupted,
     )
 
 

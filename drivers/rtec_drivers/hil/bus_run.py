@@ -142,6 +142,11 @@ class BusRun:
     watch: FaultWatch
     warnings: Sequence[str]
 
+    @property
+    def duration_s(self) -> float:
+        """Duration in cycles of the loop, s."""
+        return float(self.report.summary["cycles"] / self.setup.file.run.rate_hz)
+
 
 PARTS = ("machine", "sensors")
 END_S = 10.0
@@ -295,7 +300,7 @@ def run_on_buses(
         look: called with every status.
 
     Raises:
-        KeyboardInterrupt: a signal ended it; the far sides have ended.
+        KeyboardInterrupt: a signal ended it uncorrected, or within its first second; the far sides have ended.
     """
     clock, config = RealClock(), wiring.with_ports(folder, mode)
     if keep:
@@ -319,7 +324,7 @@ def run_on_buses(
         supervisor = Supervisor(setup, log, show, begin, forks=True)
         watch.resume, watch.place = supervisor.order_resume, f"{folder}/"
         report = supervisor.run(duration_s)
-        if report.interrupted:
+        if report.interrupted and (mode == "off" or report.summary["cycles"] < setup.file.run.rate_hz):
             raise KeyboardInterrupt
         far_counts = far.finish()
         return BusRun(

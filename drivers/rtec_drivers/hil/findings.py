@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtec.hil import WITHIN, Check, FaultFound, FaultOrder, OffAndOn
+from rtec.hil import LEAST_COMPARED_S, WITHIN, Check, FaultFound, FaultOrder, OffAndOn
 from rtec.playback.replay import replay_log
 from rtec_drivers.hil.bus_run import BusRun, Logbook, held_spans
 from rtec_drivers.hil.faults import FAULTS, FaultWatch
@@ -14,8 +14,8 @@ from rtec_drivers.hil.plant import TipTrack, errors_um, inside
 AT_END_S = 0.05
 """A hold that ends this near to the run's end, s, counts as a hold for good."""
 HICCUP_S = 0.1
-LEAST_QUIET_S = 5.0
-"""Shortest time without faults, s, for a judgement of the accuracy."""
+RECOVER_S = 8.0
+"""The run goes on for this time, s, after the last fault."""
 ROUNDING = 1e-6
 CALM_S = 1.0
 """After a recovery the correction is still on its way for this time, s."""
@@ -40,11 +40,16 @@ def faults_found(
     on_s: float,
     names: Sequence[str],
 ) -> list[FaultFound]:
-    """Effect of each fault until the next one after its end; overlapping faults share their holds."""
-    seconds, error = logbook.seconds(watch.start_ns), np.abs(errors_um(track, names))
+    """Effect of each fault until the next one after its end; overlapping faults share their holds.
+
+    Faults that a run did not reach, because it was stopped, are not among them.
+    """
+    seconds, error = logbook.seconds(watch.start_ns), np.linalg.norm(errors_um(track, names), axis=1)
     period_s, spans = on_s / max(1, len(seconds)), held_spans(logbook, watch.start_ns)
     out = []
     for k, order in enumerate(faults):
+        if order.at_s >= on_s:
+            continue
         until_s = min([f.at_s for f in faults if f.at_s > order.end_s] + [on_s])
         mine = inside(seconds, [(order.at_s, until_s)])
         recovered_s = _recovered_s(spans, order, until_s, on_s)
@@ -127,7 +132,8 @@ def checks_of(which: str, run: BusRun, found: Sequence[FaultFound], judged: bool
     own, logged = list(summary["output"].values()), list(logbook.output.values())
     machine = list(run.far_counts["machine"]["inserted"])
     replayed = replay_log(run.setup, run.log, check=True)
-    lost = [f.order.name for f in found if math.isnan(f.recovered_s)]
+    seen = [f for f in found if not run.report.interrupted or f.order.end_s + RECOVER_S <= run.duration_s]
+    lost = [f.order.name for f in seen if math.isnan(f.recovered_s)]
     astray, looked = given_astray(run)
     checks = [
         Check(
@@ -152,8 +158,8 @@ def checks_of(which: str, run: BusRun, found: Sequence[FaultFound], judged: bool
             f"{replayed.rows} of {summary['cycles']} cycles in the log, {replayed.different} replayed otherwise",
         ),
     ]
-    if found:
-        text = f"not after {', '.join(lost)}" if lost else f"after all {len(found)} faults"
+    if seen:
+        text = f"not after {', '.join(lost)}" if lost else f"after all {len(seen)} faults"
         checks.append(Check(f"{which}: correction follows again", not lost, text, judged))
     return checks
 
@@ -178,12 +184,28 @@ def given_astray(run: BusRun) -> tuple[int, int]:
     return int(np.count_nonzero(~good)), len(row)
 
 
-def improvement_check(buses: OffAndOn, simulated: OffAndOn, quiet: Spans, judged: bool = True) -> Check:
-    """Is the correction as good behind real buses as without any?"""
+def compared_spans(quiet: Spans, off_s: float) -> list[tuple[float, float]]:
+    """Parts of the corrected run's quiet time that the uncorrected run, of `off_s`, has, too.
+
+    Both runs begin the same program at the same temperatures. Only at the same time since the start are they at the
+    same place of it, and the machine as warm.
+    """
+    return [(low, min(high, off_s)) for low, high in quiet if low < off_s]
+
+
+def improvement_check(buses: OffAndOn, simulated: OffAndOn, spans: Spans, judged: bool = True) -> Check:
+    """Is the correction as good behind real buses as without any, over the compared times?"""
     name = f"improvement within {100.0 * WITHIN:.0f} % of the all-simulated run"
-    quiet_s = sum(high - low for low, high in quiet)
-    if quiet_s < LEAST_QUIET_S:
-        return Check(name, True, f"not judged: only {quiet_s:.1f} s of the run were without faults")
+    compared_s = sum(high - low for low, high in spans)
+    if compared_s < LEAST_COMPARED_S:
+        return Check(
+            name,
+            passed=False,
+            found=f"only {compared_s:.1f} s are in both runs, settled and without faults; {LEAST_COMPARED_S:g} s are "
+            "needed: give longer --off and --on, or place the faults otherwise",
+            judged=False,
+            why_not="too little can be compared",
+        )
     ratio = buses.factor / simulated.factor
     return Check(
         name,

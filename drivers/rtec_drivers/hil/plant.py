@@ -68,7 +68,7 @@ def accuracy(track: TipTrack, names: Sequence[str], spans: Sequence[tuple[float,
     rms = np.sqrt(np.mean(error**2, axis=0))
     return Accuracy(
         float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
-        float(np.abs(error).max()),
+        float(np.linalg.norm(error, axis=1).max()),
         dict(zip(names, rms.tolist(), strict=True)),
     )
 

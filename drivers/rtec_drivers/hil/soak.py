@@ -17,7 +17,7 @@ from rtec.hil import Check, Deadlines, FaultOrder, Resource, SoakFault, SoakOrde
 from rtec.loop.stats import Histogram
 from rtec_drivers.hil.bus_run import BusRun, ends_politely, every_ms_of, run_on_buses
 from rtec_drivers.hil.faults import FAULTS, Bus
-from rtec_drivers.hil.findings import checks_of, held_check
+from rtec_drivers.hil.findings import RECOVER_S, checks_of, held_check
 from rtec_drivers.hil.wiring import read_wiring
 
 LOOP = "rtec-loop"
@@ -124,15 +124,22 @@ class Resources:
                 behind += step.misses
         return Deadlines(lost, own, away, behind, usual_us)
 
-    def checks(self, period_ns: float, *, judged: bool = True) -> list[Check]:
-        """Requirements; on a PC that runs other programs, too, missed deadlines are reported but not judged."""
+    def checks(self, period_ns: float, *, judged: bool = True, stopped: bool = False) -> list[Check]:
+        """Requirements.
+
+        Args:
+            period_ns: period of the loop, ns.
+            judged: judge missed deadlines; not on a PC that runs other programs, too.
+            stopped: a signal ended the run; then files and threads, too, need the time that memory needs.
+        """
         out = []
         for what in UNITS:
             mine = [r for r in self.figures() if r.what == what]
             text = "; ".join(f"{r.process} {r.middle:.4g} then {r.last:.4g} {r.unit}".strip() for r in mine)
-            long_enough = what != "memory" or self._cycles * period_ns >= LEAST_S * 1e9
-            words = text if long_enough else f"not judged in less than {LEAST_S:.0f} s of cycles: {text}"
-            out.append(Check(f"{what} flat", not long_enough or all(r.flat for r in mine), words))
+            long_enough = not (stopped or what == "memory") or self._cycles * period_ns >= LEAST_S * 1e9
+            why_not = f"the loop's cycles are less than {LEAST_S:.0f} s"
+            flat = long_enough and all(r.flat for r in mine)
+            out.append(Check(f"{what} flat", flat, text, judged=long_enough, why_not=why_not))
         return [*out, self._deadline_check(period_ns, judged)]
 
     def _deadline_check(self, period_ns: float, judged: bool) -> Check:
@@ -201,8 +208,6 @@ def _flat(what: str, series: ResourceSeries) -> bool:
     return last <= middle + (MEMORY_SLACK if what == "memory" else 0.0)
 
 
-RECOVER_S = 8.0
-"""The run goes on for this time, s, after the last fault."""
 LENGTH_S: dict[Bus, tuple[float, float]] = {"box": (0.3, 4.0), "modbus": (1.0, 10.0), "can": (1.0, 10.0)}
 PAUSE_S: dict[Bus, tuple[float, float]] = {"box": (4.0, 12.0), "modbus": (3.0, 12.0), "can": (3.0, 12.0)}
 FIRST_S = 4.0
@@ -243,32 +248,42 @@ def soak(order: SoakOrder, tell: Tell) -> SoakResult:
         return SoakResult(
             machine=run.setup.machine.name,
             rate_hz=run.setup.file.run.rate_hz,
-            duration_s=summary["cycles"] / run.setup.file.run.rate_hz,
+            duration_s=run.duration_s,
+            ordered_s=duration_s,
             seed=order.seed,
             faults=_counted(faults, run),
             resources=resources.figures(),
             deadlines=resources.deadlines(cycle_ns),
             timing={k: summary[k] for k in ("cycles", "deadline_misses", "wake_up", "compute", "driver_errors")},
-            checks=[*_checks(run, faults, not order.shared), *resources.checks(cycle_ns, judged=not order.shared)],
+            checks=[
+                *_checks(run, faults, not order.shared),
+                *resources.checks(cycle_ns, judged=not order.shared, stopped=run.report.interrupted),
+            ],
             warnings=list(dict.fromkeys(run.warnings)),
             log=run.log if order.keep else None,
+            stopped=run.report.interrupted,
         )
 
 
 def _counted(faults: Sequence[FaultOrder], run: BusRun) -> list[SoakFault]:
-    """Number of times of each fault, how often the daemon reported it, and its longest time to a report."""
-    times = Counter(f.name for f in faults)
+    """Number of times of each fault, how often the daemon reported it, and its longest time to a report.
+
+    Faults that a stopped run did not reach are not counted.
+    """
+    times = Counter(f.name for f in faults if f.at_s < run.duration_s)
     soon: dict[str, list[float]] = {name: [] for name in times}
     for fault, reported in zip(faults, run.watch.reports, strict=True):
-        if np.isfinite(reported.noticed_s):
+        if fault.at_s < run.duration_s and np.isfinite(reported.noticed_s):
             soon[fault.name].append(reported.noticed_s)
     return [SoakFault(n, times[n], len(soon[n]), max(soon[n], default=float("nan"))) for n in sorted(times)]
 
 
 def _checks(run: BusRun, faults: Sequence[FaultOrder], judged: bool) -> list[Check]:
-    at_end = bool(run.logbook.held[-1])
+    at_end, stopped = bool(run.logbook.held[-1]), run.report.interrupted
+    follows = "held" if at_end else "it follows the model"
+    why_not = {"why_not": "the run was stopped"} if stopped else {}
     return [
         *checks_of("soak", run, (), judged),
         held_check("soak", run, faults, judged),
-        Check("soak: correction follows at the end", not at_end, "held" if at_end else "it follows the model", judged),
+        Check("soak: correction follows at the end", not at_end, follows, judged and not stopped, **why_not),
     ]

@@ -16,7 +16,7 @@ from rtec.machine import load_machine
 from rtec.tomlfile import nearest, read_toml, validated
 from rtec_drivers.box.gateware import Chip
 from rtec_drivers.hil.faults import BUS_OF_DRIVER, Bus
-from rtec_drivers.sim import SimOptions
+from rtec_drivers.sim import SimDriver, SimOptions
 
 SENSED, TRACK = "sensed", "track.npz"
 
@@ -103,7 +103,12 @@ def read_wiring(path: Path, gateware: Path | None = None) -> Wiring:
     if options.actuator != "pulse":
         raise ConfigError(f"{path}: [hil] actuator: the encoder box inserts counts: 'pulse'")
     buses = _buses(tables["device"], str(path))
-    make_devices(load_setup(path), RealClock())
+    setup = load_setup(path)
+    make_devices(setup, RealClock())
+    try:
+        SimDriver(options.model_copy(update={"warm_up_s": 0.0}), setup.machine, RealClock())
+    except ConfigError as e:
+        raise ConfigError(f"{path}: [hil] {e}") from e
     if gateware is not None:
         with Chip(gateware) as chip:
             chip.check_axes(len(load_machine(Path(tables["run"]["machine"])).axes))

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError, DriverTimeout, DriverUnavailable
+from rtec.files import beside
 from rtec.quantities import Counts, MicrometresPositive, MillimetresPerSecond, SecondsPositive
 from rtec.tomlfile import Strict
 from rtec_drivers.zmq.message import TOPIC
@@ -103,8 +104,8 @@ def load_keys(options: ZmqOptions, base: Path) -> Keys | None:
     """
     if options.server_key_file is None or options.own_key_file is None:
         return None
-    server, _ = _certificate(base / options.server_key_file)
-    own = base / options.own_key_file
+    server, _ = _certificate(beside(base, options.server_key_file))
+    own = beside(base, options.own_key_file)
     public, secret = _certificate(own)
     if secret is None:
         raise ConfigError(f"own_key_file: {own} holds no secret key; the file that does ends in .key_secret")
