@@ -253,6 +253,8 @@ def _weight(d: Diagnosis) -> list[tuple[str, str]]:
     if d.together:
         by = "all together" if len(d.together) > 1 else d.together[0].label
         return [(percent(d.together[-1].heldout_drop), f"of the held-out mean square error, removed by {by}")]
+    if len(d.group) > 1 or d.verdict == "ambiguous":
+        return [(f"1 of {max(len(d.group), 2)}", "effects that these data cannot distinguish")]
     return [(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
+from rtec.hil import Accuracy, Check, FaultFound, HilResult, SoakResult
 from rtec.report.figures import GREY, KINDS, as_png, room_above, stacked
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.result import plain
@@ -85,14 +85,21 @@ def hil_page(found: HilResult, figures: bool = True) -> Page:
     if figures:
         sections.insert(0, _accuracy_figure(found))
     numbers = [
-        ("uncorrected, rms", f"{found.buses.off.rms_um:.1f} µm"),
-        ("corrected, rms", f"{found.buses.on.rms_um:.1f} µm"),
-        (
-            "checks passed",
-            f"{sum(c.passed and c.judged for c in found.checks)} of {sum(c.judged for c in found.checks)}",
-        ),
+        (f"{found.buses.off.rms_um:.1f}\u00a0µm", "uncorrected, rms"),
+        (f"{found.buses.on.rms_um:.1f}\u00a0µm", "corrected, rms"),
+        _passed(found.checks),
     ]
     return Page("Hardware in the loop", lead, numbers, sections)
+
+
+def _passed(checks: Sequence[Check]) -> tuple[str, str]:
+    """How many of the judged checks passed, and how many were not judged."""
+    judged = [c for c in checks if c.judged]
+    missing = len(checks) - len(judged)
+    return (
+        f"{sum(c.passed for c in judged)} of {len(judged)}",
+        f"checks passed{f', {missing} not judged' * (missing > 0)}",
+    )
 
 
 def _accuracy(found: HilResult) -> Section:
@@ -100,7 +107,7 @@ def _accuracy(found: HilResult) -> Section:
     wires = "; ".join(f"{device}: {bus}" for device, bus in found.wiring.items())
     rows = [_row(f"{together} together, rms", _of(found, attrgetter("rms_um")))]
     rows += [_row(f"{d}, rms", _of(found, partial(_rms_in, d))) for d in found.course.directions]
-    rows.append(_row("largest", _of(found, attrgetter("largest_um"))))
+    rows.append(_row("largest, of one direction", _of(found, attrgetter("largest_um"))))
     head = ("tool-tip error, µm", "buses: off", "on", "factor", "simulated: off", "on", "factor")
     text = (
         f"Behind real buses ({wires}), and the same machine and programme without any bus on a virtual clock. "
@@ -218,12 +225,9 @@ def soak_page(found: SoakResult) -> Page:
     if found.warnings:
         sections.append(Section("Messages of the system", found.warnings))
     numbers = [
-        ("faults", str(times)),
-        ("deadlines lost", f"{found.deadlines.lost} of {found.timing['cycles']}"),
-        (
-            "checks passed",
-            f"{sum(c.passed and c.judged for c in found.checks)} of {sum(c.judged for c in found.checks)}",
-        ),
+        (str(times), "faults"),
+        (f"{found.deadlines.lost} of {found.timing['cycles']}", "deadlines lost"),
+        _passed(found.checks),
     ]
     return Page("Long run against simulated hardware", lead, numbers, sections)
 

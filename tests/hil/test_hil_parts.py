@@ -16,11 +16,12 @@ import pytest
 from rtec.correction.flags import MODE_ON, MODE_TAKEN_OVER, Flag
 from rtec.daemon.status import Status
 from rtec.errors import ConfigError
-from rtec.hil import Accuracy, FaultOrder, OffAndOn, load_bench, parse_fault
+from rtec.hil import Accuracy, Check, FaultOrder, OffAndOn, load_bench, parse_fault
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
+from rtec.report.hil import _passed
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.can.signals import Dbc
@@ -442,3 +443,10 @@ def _series(values: list[float]) -> ResourceSeries:
     out = ResourceSeries()
     out.values.extend(values)
     return out
+
+
+def test_the_number_of_a_card_is_the_large_one_and_says_what_was_not_judged() -> None:
+    """Oracle: by hand: of four checks one is not judged, and one of the others failed."""
+    checks = [Check("a", True, ""), Check("b", True, ""), Check("c", False, ""), Check("d", True, "", judged=False)]
+    assert _passed(checks) == ("2 of 3", "checks passed, 1 not judged")
+    assert _passed(checks[:2]) == ("2 of 2", "checks passed")
