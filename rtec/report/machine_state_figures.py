@@ -60,8 +60,6 @@ def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, 
         magnified: factor by which errors are drawn larger.
         camera: from where it is seen.
     """
-    from mpl_toolkits.mplot3d import proj3d
-
     figure, ax = _room(room_of(machine, sides, magnified), camera)
     for side, n in sides.items():
         colour, marker = LOOKS[side]
@@ -71,8 +69,8 @@ def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, 
     for name in names_at(machine, sides, magnified, camera):
         across, up = name.beside
         ha, va = ("right", "center", "left")[across + 1], ("top", "center", "bottom")[up + 1]
-        x, y, _ = proj3d.proj_transform(*name.place_mm, ax.get_proj())
-        ax.annotate(name.words, (x, y), (AWAY_PT * across, AWAY_PT * up), textcoords="offset points", ha=ha, va=va,
+        x, y, _, far = ax.get_proj() @ [*name.place_mm, 1.0]
+        ax.annotate(name.words, (x / far, y / far), (AWAY_PT * across, AWAY_PT * up), textcoords="offset points", ha=ha, va=va,
                     fontsize=15)  # fmt: skip
     ax.legend(loc="upper left", fontsize=15, frameon=False)
     return figure
