@@ -70,8 +70,8 @@ def links(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, 
         across, up = name.beside
         ha, va = ("right", "center", "left")[across + 1], ("top", "center", "bottom")[up + 1]
         x, y, _, far = ax.get_proj() @ [*name.place_mm, 1.0]
-        ax.annotate(name.words, (x / far, y / far), (AWAY_PT * across, AWAY_PT * up), textcoords="offset points", ha=ha, va=va,
-                    fontsize=15)  # fmt: skip
+        away = AWAY_PT * across, AWAY_PT * up
+        ax.annotate(name.words, (x / far, y / far), away, textcoords="offset points", ha=ha, va=va, fontsize=15)
     ax.legend(loc="upper left", fontsize=15, frameon=False)
     return figure
 
