@@ -85,7 +85,7 @@ def component_words(component: str, machine: Machine) -> str:
 
 
 BOTH: tuple[Side, Side] = ("tool", "work")
-THIN, ROOM = 0.3, 0.65
+THIN, ROOM = 0.3, 0.58
 """Smallest extent of the room as a share of its largest; half of its width over that of the machine."""
 
 

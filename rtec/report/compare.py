@@ -141,7 +141,9 @@ def _name(item: Compared, c: Comparison) -> str:
 
 
 def _numbers(c: Comparison) -> list[tuple[str, str]]:
-    return numbers_of(min(c.items, key=_badness))
+    first = min(c.items, key=_badness)
+    (value, meaning), *others = numbers_of(first)
+    return [(value, f"{meaning} in {_name(first, c)}" if len(c.items) > 1 else meaning), *others]
 
 
 def numbers_of(first: Compared) -> list[tuple[str, str]]:

@@ -11,7 +11,16 @@ import numpy as np
 from rtec.diagnosis.doubts.not_read import not_logged_beside, unread_beside
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
-from rtec.diagnosis.words import MOST_NUMBERS, fitted_numbers, hardly, labels, rivals_of, same_part, sentence
+from rtec.diagnosis.words import (
+    MOST_NUMBERS,
+    fitted_numbers,
+    hardly,
+    indistinguishable,
+    labels,
+    rivals_of,
+    same_part,
+    sentence,
+)
 from rtec.effects import Effect
 from rtec.effects.effect_list import as_options, as_text
 from rtec.model import FittedEffect
@@ -253,7 +262,12 @@ def _weight(d: Diagnosis) -> list[tuple[str, str]]:
     if d.together:
         by = "all together" if len(d.together) > 1 else d.together[0].label
         return [(percent(d.together[-1].heldout_drop), f"of the held-out mean square error, removed by {by}")]
-    return [(probability(d.findings[0].confidence), "probability of the first candidate")] if d.group else []
+    if not d.group:
+        return []
+    alike = indistinguishable(d)
+    if len(alike) > 1:
+        return [(f"1 of {len(alike)}", "effects that these data cannot distinguish")]
+    return [(probability(d.findings[0].confidence), "probability of the first candidate")]
 
 
 def _together(d: Diagnosis) -> Table:

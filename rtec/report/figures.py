@@ -5,6 +5,7 @@ without colour is enough. The input is arrays only: this module does not depend 
 """
 
 import functools
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from io import BytesIO
@@ -131,6 +132,18 @@ def room_above(ax: "Axes", share: float, below: float = 0.0) -> None:
     """Extend the vertical scale by shares of itself, so that names have room above and below the curves."""
     low, high = ax.get_ylim()
     ax.set_ylim(low - below * (high - low), high + share * (high - low))
+
+
+TICKS: tuple[tuple[float, ...], ...] = ((1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0))
+"""Numbers of a decade that a logarithmic axis names; the more, the shorter the axis is."""
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Round numbers from `low` to `high` for a logarithmic axis; at least two where the ends are twofold apart."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    all_ticks = ([float(f"{sub * 10.0**d:.3g}") for d in decades for sub in subs] for subs in TICKS)
+    few, many = ([v for v in ticks if low <= v <= high] for ticks in all_ticks)
+    return few if len(few) > 1 else many
 
 
 def zoomed(ax: "Axes", zoom: Zoom, up: str = "y") -> None:

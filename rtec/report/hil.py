@@ -83,7 +83,7 @@ def hil_page(found: HilResult, figures: bool = True) -> Page:
     if figures:
         sections.insert(0, _accuracy_figure(found))
     off, on = (f"{a.rms_um:.1f} µm" if found.comparable else NOT_JUDGED for a in (found.buses.off, found.buses.on))
-    numbers = [("uncorrected, rms", off), ("corrected, rms", on), ("checks passed", tally(found.checks))]
+    numbers = [(off, "uncorrected, rms"), (on, "corrected, rms"), (tally(found.checks), "checks passed")]
     return Page("Hardware in the loop", _lead(found), numbers, sections)
 
 
@@ -226,9 +226,9 @@ def soak_page(found: SoakResult) -> Page:
     if found.warnings:
         sections.append(Section("Messages of the system", found.warnings))
     numbers = [
-        ("faults", str(times)),
-        ("deadlines lost", f"{found.deadlines.lost} of {found.timing['cycles']}"),
-        ("checks passed", tally(found.checks)),
+        (str(times), "faults"),
+        (f"{found.deadlines.lost} of {found.timing['cycles']}", "deadlines lost"),
+        (tally(found.checks), "checks passed"),
     ]
     return Page("Long run against simulated hardware", lead, numbers, sections)
 

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from rtec.diagnosis.words import REFITS, drifts, of_changes, of_sensors, of_warm
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
 from rtec.report.diagnosis import by_expression
-from rtec.report.figures import OFF, ON, as_png, stacked
+from rtec.report.figures import OFF, ON, as_png, log_ticks, stacked
 from rtec.report.page import Figure, Page, Section, Table, shell_command
 from rtec.wording import (
     ERROR_UNITS,
@@ -54,6 +54,45 @@ WHY_ENDED = {
     "or add it with rtec add",
     "steps": "one call adds no more effects than these",
 }
+
+
+NOW, NEAR = "now, these measurements", 0.05
+"""Name of the present residual; share by which it may differ from the last step's and still be the same."""
+
+
+@dataclass(frozen=True)
+class Present:
+    """The residual of the measurements that a model is compared with now.
+
+    Attributes:
+        rms: root mean square residual.
+        floor: noise floor; None where it is unknown.
+        unit: unit of both, as in a history.
+    """
+
+    rms: float
+    floor: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Stairs:
+    """A staircase of the error.
+
+    Attributes:
+        names, errors: of the steps.
+        floor: noise floor; None where it is unknown.
+        unit: of the errors, as in a history.
+        at: index of the current step.
+        ends_now: whether the last is no step but the present residual of other measurements.
+    """
+
+    names: list[str]
+    errors: list[float]
+    floor: float | None
+    unit: str
+    at: int
+    ends_now: bool = False
 
 
 def fell(before: Errors, after: Errors, unit: str) -> str:
@@ -285,8 +324,14 @@ def model_page(model: Model, figures: bool = True) -> Page:
     return Page(f"Model {model.name}", lead, [], [Section("Numbers", [], table), *history_sections(model, figures)])
 
 
-def history_sections(model: Model, figures: bool) -> list[Section]:
-    """Sections on every change; empty where the model has no history."""
+def history_sections(model: Model, figures: bool, now: Present | None = None) -> list[Section]:
+    """Sections on every change; empty where the model has no history.
+
+    Args:
+        model: the model.
+        figures: whether to draw.
+        now: residual of the measurements that it is compared with now.
+    """
     steps = steps_of(model)
     if not steps:
         return []
@@ -298,7 +343,7 @@ def history_sections(model: Model, figures: bool) -> list[Section]:
     words += [f"{s['name']}: {OTHER_START} other measurements were used." for s in steps if s["other_data"]]
     words += [f"{s['name']}: {OTHER_START} {_moved(steps, i)}" for i, s in enumerate(steps) if s["noise_anew"]]
     words += [_passed_over(s) for s in steps if s["passed_over"]]
-    return [Section("The error falling", words, table, _staircase(steps) if figures else None)]
+    return [Section("The error falling", words, table, _staircase(steps, now) if figures else None)]
 
 
 OTHER_START = "'before' differs from 'after' in the row above:"
@@ -361,6 +406,28 @@ def stairs(steps: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[float], 
     return names, errors, next((float(s["floor"]) for s in reversed(same) if s["floor"] is not None), None)
 
 
+def stairs_to(now: Present | None, steps: Sequence[Mapping[str, Any]], undone: int = 0) -> Stairs | None:
+    """The staircase of a model, and the present residual at its end where its last step has another.
+
+    Args:
+        now: the present residual.
+        steps: changes of the model, the undone ones too.
+        undone: number of the last steps that were undone.
+    """
+    if now is not None and (not steps or now.unit != steps[-1]["unit"]):
+        return Stairs([NOW], [now.rms], now.floor, now.unit, 0, ends_now=True)
+    if not steps:
+        return None
+    names, errors, floor = stairs(steps)
+    at = len(names) - 1 - undone
+    out = Stairs(names, [float(e) for e in errors], floor, str(steps[-1]["unit"]), at)
+    if now is None:
+        return out
+    if at >= 0 and abs(now.rms / max(out.errors[at], 1e-12) - 1.0) < NEAR:
+        return replace(out, floor=floor or now.floor)
+    return replace(out, names=[*names, NOW], errors=[*out.errors, now.rms], floor=now.floor or floor, ends_now=True)
+
+
 def _named(s: Mapping[str, Any]) -> str:
     """Name of a step; where a drift hides what it gains, also how the error beyond that drift fell."""
     fall = _beyond_drift(s)
@@ -375,10 +442,11 @@ def _beyond_drift(s: Mapping[str, Any]) -> tuple[str, str] | None:
     return two_numbers(before, after)
 
 
-def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
-
-    unit = steps[-1]["unit"]
-    png = staircase(ERROR_UNITS.get(unit, unit), *stairs(steps))
+def _staircase(steps: Sequence[Mapping[str, Any]], now: Present | None) -> Figure | None:
+    s = stairs_to(now, steps)
+    if s is None:
+        return None
+    png = staircase(ERROR_UNITS.get(s.unit, s.unit), s.names, s.errors, s.floor, ends_now=s.ends_now)
     return Figure("history.png", png, "The residual on held-out runs after each change, and the noise floor.")
 
 
@@ -389,7 +457,9 @@ CROWD, WIDE = 9, 1000.0
 
 
 @as_png
-def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None) -> "MplFigure":
+def staircase(
+    unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None, *, ends_now: bool = False
+) -> "MplFigure":
     """The error on a logarithmic scale, change by change, down to the noise floor.
 
     Args:
@@ -397,8 +467,9 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
         names: names of the steps; the first is the initial model.
         errors: root mean square residual on held-out runs after each step.
         floor: noise floor; None where it is unknown.
+        ends_now: whether the last is no step but the present residual of other measurements.
     """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
     many, crowd = len(names) > MANY, len(names) > CROWD
     figure, (ax,) = stacked(8.6 if crowd else 7.4 if many else 5.8)
@@ -409,11 +480,13 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
     low, high = min(known) / 1.5, max(known) * 1.5 * range_**0.1
     ax.set_yscale("log")
     for place, value in enumerate(errors):
-        ax.fill_between([place, place + 1], low, value, color=ON, alpha=0.14, linewidth=0, zorder=1)
-        ax.plot([place, place + 1], [value, value], color=ON, linewidth=4.0, solid_capstyle="butt")
+        present = ends_now and place == len(errors) - 1
+        colour = OFF if present else ON
+        ax.fill_between([place, place + 1], low, value, color=colour, alpha=0.14, linewidth=0, zorder=1)
+        ax.plot([place, place + 1], [value, value], color=colour, linewidth=4.0, solid_capstyle="butt")
         ax.annotate(write(value), (place + 0.5, value), (0, 6), textcoords="offset points", ha="center",
-                    va="bottom", fontsize=10 if crowd else 17, fontweight="bold", color=ON)  # fmt: skip
-        if place and value < errors[place - 1]:
+                    va="bottom", fontsize=10 if crowd else 17, fontweight="bold", color=colour)  # fmt: skip
+        if place and not present and value < errors[place - 1]:
             ax.annotate("", (place, value), (place, errors[place - 1]), zorder=3,
                         arrowprops={"arrowstyle": "-|>", "color": OFF, "linewidth": 1.5 if crowd else 3.0,
                                     "mutation_scale": 9 if crowd else 22,
@@ -431,12 +504,14 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
     for label in ax.get_xticklabels() if many and not crowd else []:
         label.set(rotation=30, ha="right", rotation_mode="anchor")
     ax.tick_params(axis="x", length=0)
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_locator(FixedLocator(log_ticks(low, high)))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.grid(visible=False, axis="x")
-    ax.set_title("The error falls as the model learns" if errors[-1] < errors[0] else "The error as the model learns")
-    ax.set_ylabel(f"residual on held-out runs, rms, {unit}")
+    own = errors[: len(errors) - ends_now]
+    fell = len(own) > 0 and own[-1] < own[0]
+    ax.set_title("The error falls as the model learns" if fell else "The error as the model learns")
+    ax.set_ylabel(f"residual{' on held-out runs' if own else ''}, rms, {unit}")
     return figure
 
 

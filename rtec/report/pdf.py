@@ -80,9 +80,11 @@ def _items(page: Page) -> list[_Item]:
         out += _text(f"{value}   {meaning}", TEXT)
     for section in page.sections:
         out += _section(section)
-    for line in page.foot:
-        out += _text(line, CELL)
-    return out
+    foot = [item for line in page.foot for item in _text(line, CELL)]
+    if foot and len(foot) <= FEW:  # small print alone would fill no page
+        out[-1:] = [replace(item, keep=True) for item in out[-1:]]
+        foot[:-1] = [replace(item, keep=True) for item in foot[:-1]]
+    return [*out, *foot]
 
 
 def _section(section: Section) -> list[_Item]:

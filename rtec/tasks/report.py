@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rtec.model import Model
     from rtec.report.daemon import DaemonMoment
     from rtec.report.figures import Zoom
+    from rtec.report.history import Present
     from rtec.report.machine_state import MachineState
     from rtec.report.page import Page, Section
 
@@ -110,6 +111,7 @@ class ReportParts:
         diagnosed: the diagnosis, and `rank` the candidate that is shown.
         added: sections on the last addition.
         residuals: the residuals that the page Add and watch draws.
+        now: the present residual, as that page draws it beside the steps.
         previewed: an expression that is being written, and its preview.
         foreign: what the page Import shows.
         state: what the page Explore shows.
@@ -127,6 +129,7 @@ class ReportParts:
     rank: int = 1
     added: "Sequence[Section]" = ()
     residuals: tuple["ShownResidual", ...] = ()
+    now: "Present | None" = None
     previewed: tuple[str, PreviewView] | None = None
     foreign: ImportView | None = None
     state: "MachineState | None" = None
@@ -141,6 +144,7 @@ class ReportParts:
                 p.files,
                 p.rank,
                 p.zooms,
+                p.now,
                 p.drawn and p.drawn.look,
                 [tuple(r.marked) for r in p.residuals],
             )
@@ -228,7 +232,7 @@ def _model_pages(line: Reporter, parts: ReportParts, names: "tuple[Path, ...]") 
         yield replace(found, numbers=(), sections=[*found.sections, *_candidate_sections(parts)], foot=())
     if "add" in parts.names:
         drawn = [*_residual_sections(parts), *_preview_sections(parts)]
-        yield Page("", "", (), [*parts.added, *history_sections(parts.model, True), *drawn])
+        yield Page("", "", (), [*parts.added, *history_sections(parts.model, True, parts.now), *drawn])
 
 
 def _drawn_sections(plot: DrawnPlot) -> "list[Section]":

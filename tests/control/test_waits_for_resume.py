@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.control.facts import waits_for_resume
+from rtec.control.facts import reasons_not_ordered, waits_for_resume
+from rtec.correction.flags import REASONS, Flag
 from rtec.errors import DriverFault
 from rtec.loop.believed import BelievedTemperatures
 from rtec.loop.ports import HOLDS, FloatArray, IntArray
@@ -45,3 +46,12 @@ def test_a_temperature_that_jumped_waits() -> None:
         source.read(degc, time_ns, ["T_bed"], 2_000_000_000)
     assert source.must_resume
     assert waits_for_resume(_status(str(raised.value)))
+
+
+def test_what_was_ordered_is_no_trouble() -> None:
+    """Oracle: the orders: off and hold do what they say; a stale count was ordered by nobody."""
+    stale = REASONS[Flag.STALE_COUNTS]
+    off, hold = REASONS[Flag.ORDERED_OFF], REASONS[Flag.ORDERED_HOLD]
+    assert reasons_not_ordered({"mode": "off", "reasons": [off, REASONS[Flag.FADING], stale]}) == [stale]
+    assert reasons_not_ordered({"mode": "hold", "reasons": [hold]}) == []
+    assert reasons_not_ordered({"mode": "on", "reasons": [hold, stale]}) == [hold, stale]

@@ -135,3 +135,11 @@ def test_a_step_is_no_smooth_dependence() -> None:
     step = Unknown("laser", ("x",), "smooth", None, 0.001, 0.8, where="a step at X ≈ 64.0 mm")
     said = answer("unknown_effect", finding(CURVE, accepted=False), unknown=step, adequacy=None).sentence
     assert "the residual depends on X, with a step at X ≈ 64.0 mm" in said
+
+
+def test_of_effects_that_cannot_be_distinguished_none_has_a_probability_of_its_own() -> None:
+    """Oracle: the large numbers of one candidate, and of two that are alike."""
+    alone = diagnosis_page(answer("missing_effect", finding(GROWTH, confidence=0.999)), figures=False)
+    assert alone.numbers[-1][1] == "probability of the first candidate"
+    two = answer("ambiguous", finding(GROWTH, confidence=0.999), replace(finding(CURVE, 2), group=True))
+    assert diagnosis_page(two, figures=False).numbers[-1] == ("1 of 2", "effects that these data cannot distinguish")

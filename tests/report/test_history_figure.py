@@ -9,7 +9,8 @@ from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.improve import Improved
 from rtec.model import Model
 from rtec.model.history import History, steps_of
-from rtec.report.history import _why_ended, history_page, staircase, stairs
+from rtec.report.history import Present, Stairs, _why_ended, history_page, staircase, stairs, stairs_to
+from rtec.studio.parts.figures import staircase as on_page
 from tests.support.diagnosis_examples import small_machine
 from tests.support.figures import drawn, overlapping
 
@@ -50,6 +51,31 @@ def test_steps_and_floor_have_room(names: list[str], errors: list[float], floor:
         assert text.get_window_extent().x0 > ax.get_window_extent().x1
     names_below: list[Text] = list(ax.get_xticklabels())
     assert 5 < len(names) < 10 or not overlapping(names_below)
+
+
+@pytest.mark.parametrize("errors", [[0.33], [0.33, 1.52], [0.031, 0.029], [120.0, 90.0]])
+def test_a_scale_has_at_least_two_numbers(errors: list[float]) -> None:
+    """Oracle: the ticks as laid out, and those of the page; the floor is named in the page, too."""
+    floor = 0.88 * min(errors)
+    (ax,) = drawn(staircase, "µm", ["fit", "now, these measurements"][: len(errors)], errors, floor).axes
+    low, high = ax.get_ylim()
+    assert len([t for t in ax.get_yticks() if low <= t <= high]) >= 2
+    page = on_page(Stairs(["fit", "now"][: len(errors)], errors, floor, "um", 0, ends_now=len(errors) > 1))["layout"]
+    low, high = (10.0**v for v in page["yaxis"]["range"])
+    assert len([t for t in page["yaxis"]["tickvals"] if low <= t <= high]) >= 2
+    assert [a["text"] for a in page["annotations"]] == [f"noise floor {floor:.2f} µm"]
+
+
+def test_the_present_residual_is_beside_the_steps() -> None:
+    """Oracle: by hand: 1.52 µm of other measurements, the fit left 0.33; an undone step is not the present one."""
+    steps = steps_of(Model(small_machine(), history=({"change": "fit", "rms_held_out": 0.33, "unit": "um"},)))
+    other = stairs_to(Present(1.52, 0.29, "um"), steps)
+    assert other == Stairs(["fit", "now, these measurements"], [0.33, 1.52], 0.29, "um", 0, ends_now=True)
+    same = stairs_to(Present(0.34, 0.29, "um"), steps)
+    assert same == Stairs(["fit"], [0.33], 0.29, "um", 0)
+    angles = stairs_to(Present(2.0, None, "urad"), steps)
+    assert angles == Stairs(["now, these measurements"], [2.0], None, "urad", 0, ends_now=True)
+    assert stairs_to(None, []) is None
 
 
 def test_an_arrow_for_each_fall_and_none_for_a_rise() -> None:

@@ -132,6 +132,7 @@ def test_a_quiet_reading_that_noise_makes_no_better_hides_no_bad_one() -> None:
     worse = replace(item, explained=-0.3)
     page = compare_page(replace(c, items=(worse, *(i for i in c.items if i is not item))), figures=False)
     assert page.lead.startswith(f"{loud.name}: the residual is")
+    assert page.numbers[0][1] == f"measured in {loud.name}"
     assert "larger than without one" not in page.lead + str(page.sections)
 
 

@@ -83,3 +83,14 @@ def test_the_same_report_gives_the_same_bytes() -> None:
     """And it is a PDF."""
     assert pdf_of(_page(1)) == pdf_of(_page(1))
     assert pdf_of(_page(1)).startswith(b"%PDF-")
+
+
+def test_small_print_is_alone_on_no_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the texts of the last sheet, with pictures that fill each sheet to its end."""
+    sheets: list[Any] = []
+    monkeypatch.setattr("matplotlib.backends.backend_pdf.PdfPages.savefig", lambda _, figure: sheets.append(figure))
+    for pictures in range(1, 9):
+        sheets.clear()
+        pdf_of(replace(_page(pictures), foot=["Small print.", "More of it."]))
+        assert [t.get_text() for t in sheets[-1].texts][-2:] == ["Small print.", "More of it."]
+        assert sheets[-1].axes

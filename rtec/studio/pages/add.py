@@ -9,7 +9,7 @@ from nicegui import ui
 from rtec.diagnosis.words import labels
 from rtec.errors import RtecError
 from rtec.model.history import steps_of
-from rtec.report.history import stairs
+from rtec.report.history import Present, stairs_to
 from rtec.report.thinning import drawn
 from rtec.studio.pages.compare import worst_first
 from rtec.studio.parts import actions, figures
@@ -36,7 +36,7 @@ from rtec.tasks import model as model_tasks
 from rtec.tasks.jobs import Cancelled, Job
 from rtec.tasks.model import CompareView, EffectRequest, RefitQuestion, StepQuestion
 from rtec.tasks.report import ShownResidual, marked_rows
-from rtec.wording import ERROR_UNITS, percent, probability, significant
+from rtec.wording import percent, probability, significant
 
 HELP: Final = (
     "Positions x, y, z in mm; d_x is the direction of motion, -1 or +1; v_x velocity in mm/s; s_x distance since X "
@@ -136,26 +136,23 @@ def _ask_step(session: TabSession, question: StepQuestion) -> None:
 
 
 def _stairs(session: TabSession, step: ModelStep) -> None:
-    names, errors, floor, unit, at = _staircase_of(session, step)
+    steps, own = steps_of(session.steps[-1].model), steps_of(step.model)
+    found = stairs_to(present(step.compared) if step.compared else None, steps, len(steps) - len(own))
     with ui.element("div").classes("card"):
         Words("h2", "The error falling")
-        if not names:
+        if found is None:
             Words("p", "Add an effect; then the error before and after is drawn here.")
             return
         shows = "The residual on held-out runs after each step, and the noise floor"
-        Chart(figures.staircase(names, errors, floor, unit, at), shows).classes("tall")
+        Chart(figures.staircase(found), shows).classes("tall")
 
 
-def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list[float], float | None, str, int]:
-    """Names, errors, floor, unit, and the number of the current step."""
-    last = session.steps[-1].model
-    steps, own = steps_of(last), steps_of(step.model)
-    if not steps:
-        return [], [], None, "", 0
-    unit = steps[-1]["unit"]
-    names, errors, floor = stairs(steps)
-    at = len(names) - 1 - (len(steps) - len(own))
-    return names, [float(e) for e in errors], floor, ERROR_UNITS.get(unit, unit), at
+def present(view: CompareView) -> Present | None:
+    """The residual of the measurements that the model is compared with."""
+    together = view.facts["together"]
+    if not together["rms_residual"]:
+        return None
+    return Present(together["rms_residual"], together["noise_floor"] or None, together["unit"])
 
 
 def _residuals(session: TabSession, view: CompareView) -> None:

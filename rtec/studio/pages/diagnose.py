@@ -7,7 +7,7 @@ import numpy as np
 from nicegui import ui
 
 from rtec.diagnosis.result import Diagnosis, Finding, Verdict
-from rtec.diagnosis.words import fitted_numbers, labels
+from rtec.diagnosis.words import fitted_numbers, indistinguishable, labels
 from rtec.effects import Effect
 from rtec.studio.parts import actions, figures
 from rtec.studio.parts.chart import zoomable
@@ -99,6 +99,8 @@ class _Candidates:
     def __init__(self, session: TabSession, view: DiagnosisView) -> None:
         self._session, self._view = session, view
         self._shown: dict[int, ui.element] = {}
+        d = view.found
+        self._alike = len(indistinguishable(d)) if d.group and not d.together else 1
 
     def build(self) -> None:
         with ui.element("div").classes("card stick"):
@@ -172,7 +174,10 @@ class _Candidates:
                     Words("p", f"Size: {sizes(f.size_um)[0]} {unit}")
                     Words("p", f"Fitted: {fitted_numbers(f)}")
                     Words("p", f"Held-out error: {'falls by ' if f.heldout_drop > 0.005 else ''}{fall}")
-                    Words("p", f"Odds: {odds(f.confidence)}, probability {probability(f.confidence)}")
+                    if not (f.group and self._alike > 1):
+                        Words("p", f"Odds: {odds(f.confidence)}, probability {probability(f.confidence)}")
+                    elif f.rank == 1:
+                        Words("p", f"One of {self._alike} effects that these data cannot distinguish")
             if f.why_not:
                 Words("p", f.why_not, "small")
             for alike in [a for a in f.confused_with if not a.apart][:3]:

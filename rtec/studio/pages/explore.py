@@ -13,11 +13,11 @@ from rtec.diagnosis.words import titled
 from rtec.errors import RtecError
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
-from rtec.machine.links import LinkPlaces, Side, component_words, link_places, room_around, room_mm
+from rtec.machine.links import LinkPlaces, Side, component_words, link_places, room_around
 from rtec.model import Model
 from rtec.model.volume import component_errors, tip_errors
 from rtec.report.machine_state import SIDES, MachineState, effect_words, fed_errors, state_sentence
-from rtec.report.machine_state_figures import LONGEST, Camera
+from rtec.report.machine_state_figures import Camera, longest, names_at, room_of
 from rtec.studio.parts import actions, figures
 from rtec.studio.parts.chart import Chart
 from rtec.studio.parts.controls import Words, heading, label, lacking, number, waiting
@@ -29,6 +29,12 @@ SPEED_RPM, DEGC = 6000.0, 25.0
 Floats = NDArray[np.float64]
 MAGNIFIED: Final = (0.0, 5.0)
 """Range of the magnification, as powers of ten."""
+POSITIONS: Final = {
+    (across, up): f"{high} {wide}"
+    for up, high in ((-1, "bottom"), (0, "middle"), (1, "top"))
+    for across, wide in ((-1, "left"), (0, "center"), (1, "right"))
+}
+"""Plotly's words for where a name is."""
 TINTS: Final[Mapping[Side, str]] = {"tool": "@c2", "work": "@c3"}
 
 
@@ -91,6 +97,7 @@ class _Explorer:
                 with ui.element("div").classes("card"):
                     Words("h2", "Component errors here")
                     self._bars = Chart(bars, "Component errors at this place")
+                    self._size_bars()
 
     def _room(self, figure: dict[str, Any], shows: str, camera: str) -> Chart:
         """A plot in 3D, whose camera is a part of the state."""
@@ -195,7 +202,12 @@ class _Explorer:
         self._keep(replace(self._now, off=self._now.off - {k} if event.value else self._now.off | {k}))
         self._redraw()
 
+    def _size_bars(self) -> None:
+        units = [component_unit(c) for c in fed_errors(self._now)]
+        self._bars.style(f"height: {figures.bars_px(units)}px")
+
     def _redraw(self) -> None:
+        self._size_bars()
         for chart, figure in zip((self._scene, self._map, self._bars), self._figures(), strict=True):
             chart.show(figure)
 
@@ -207,7 +219,7 @@ class _Explorer:
         sides = {side: link_places(machine, components, now.pose_mm, side) for side in SIDES}
         fed = fed_errors(now)
         bars = _bars(fed, machine) if fed else {"data": [], "layout": figures.layout()}
-        return _scene(machine, sides, now.magnified), _volume(now), bars
+        return _scene(machine, sides, now.magnified, now.machine_from), _volume(now), bars
 
 
 def _first(model: Model, others: Sequence[str]) -> dict[str, float]:
@@ -224,10 +236,7 @@ def _first(model: Model, others: Sequence[str]) -> dict[str, float]:
 def _bars(fed: Mapping[str, float], machine: Machine) -> dict[str, Any]:
     units = {c: ERROR_UNITS[component_unit(c)] for c in fed}
     words = {c: component_words(c, machine) for c in fed}
-    figure = figures.bars(fed, units, f"component error, {' or '.join(sorted(set(units.values())))}", words)
-    figure["layout"]["xaxis"]["zeroline"] = True
-    figure["layout"]["margin"] = {"l": 70, "r": 70, "t": 44, "b": 56}  # numbers are at the ends of the bars
-    return figure
+    return figures.bars(fed, units, "component error", words)
 
 
 def _axis3(title: str) -> dict[str, Any]:
@@ -242,7 +251,7 @@ def _layout3(ranges: Floats) -> dict[str, Any]:
     scene: dict[str, Any] = {
         f"{axis}axis": _axis3(f"{axis.upper()}, mm") | {"range": ranges[k].tolist()} for k, axis in enumerate("xyz")
     }
-    scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (LONGEST * ratio).tolist(), strict=True))}
+    scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (longest(ranges) * ratio).tolist(), strict=True))}
     scene |= {"uirevision": "kept", "camera": _plotly(Camera())}
     return figures.layout(scene=scene, dragmode="orbit", margin={"l": 0, "r": 0, "t": 40, "b": 0})
 
@@ -253,32 +262,24 @@ def _plotly(camera: Camera) -> dict[str, dict[str, float]]:
     return {name: dict(zip("xyz", v, strict=True)) for name, v in given.items()}
 
 
-def _scene(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float) -> dict[str, Any]:
+def _scene(machine: Machine, sides: Mapping[Side, LinkPlaces], magnified: float, camera: Camera) -> dict[str, Any]:
     data = []
+    names = {(n.side, n.index): n for n in names_at(machine, sides, magnified, camera)}
     for side, n in sides.items():
         for moved, tint in ((0.0, "@muted"), (magnified, TINTS[side])):
             at = n.place_mm + 1e-3 * moved * n.moved_um
             name = f"{side} side, with its errors" if moved else "nominal"
+            own = [names.get((side, k)) for k in range(len(at))]
             data.append({
                 "type": "scatter3d", "mode": "lines+markers+text" if moved else "lines", "name": name,
                 "showlegend": bool(moved) or side == "tool",
                 "x": figures.numbers(at[:, 0]), "y": figures.numbers(at[:, 1]), "z": figures.numbers(at[:, 2]),
-                "text": _names_at(n, base=side == "work"), "line": {"color": tint, "width": 10 if moved else 4},
-                "marker": {"size": 5, "color": tint}, "textfont": {"size": 13, "color": "@ink"}, "hoverinfo": "text",
-                "textposition": "middle right" if side == "work" else "top center",
+                "text": [figures.text(o.words) if o else "" for o in own],
+                "line": {"color": tint, "width": 10 if moved else 4},
+                "marker": {"size": 5, "color": tint}, "textfont": {"size": 15, "color": "@ink"}, "hoverinfo": "text",
+                "textposition": [POSITIONS[o.beside] if o else "middle right" for o in own],
             })  # fmt: skip
-    return {"data": data, "layout": _layout3(room_mm(machine))}
-
-
-def _names_at(n: LinkPlaces, *, base: bool) -> list[str]:
-    """Names of the links, joined for links at one place; with the base, which both sides have, if `base`."""
-    out = [""] * len(n.names)
-    first = 0 if base else 1
-    for k in range(first, len(n.names)):
-        here = [m for m in range(first, len(n.names)) if np.allclose(n.place_mm[m], n.place_mm[k])]
-        if here[0] == k:
-            out[k] = figures.text(", ".join(n.names[m] for m in here))
-    return out
+    return {"data": data, "layout": _layout3(room_of(machine, sides, magnified))}
 
 
 def _volume(now: MachineState) -> dict[str, Any]:

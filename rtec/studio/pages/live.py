@@ -11,6 +11,7 @@ from rtec.control.facts import (
     axis_rows,
     footer,
     input_rows,
+    reasons_not_ordered,
     state_word,
     troubles,
     um_text,
@@ -101,7 +102,7 @@ class _LivePage:
         if link.role == "operate":
             with ui.element("div").classes("row"):
                 made = {
-                    name: button(text, partial(self._ask, name, text, question), main=name in ("hold", "resume"))
+                    name: button(text, partial(self._ask, name, text, question), main=name == "resume")
                     for name, (text, question) in ORDERS.items()
                 }
                 self._resume = made["resume"]
@@ -250,7 +251,7 @@ class _LivePage:
         if found is None:
             return
         with ui.element("div").classes("cards"):
-            wrong = troubles(found) + [f"why: {r}" for r in found["status"]["reasons"]]
+            wrong = troubles(found) + [f"why: {r}" for r in reasons_not_ordered(found["status"])]
             if wrong:
                 with ui.element("div").classes("card bad").props('role="alert"'):
                     Words("h2", "What is wrong")

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Final
 from weakref import proxy
 
 from nicegui import events, ui
@@ -22,6 +23,16 @@ from rtec.wording import counted
 LARGEST_UPLOAD = 512 * 1024 * 1024
 FEW = 2
 """Remarks that are not folded away."""
+COLUMNS: Final = ("Use", "File", "Instrument", "Runs", "Readings", "Span", "Temperatures, remarks")
+DROP_HEADER: Final = """<div class="q-uploader__header-content column">
+  <div class="row no-wrap items-center">
+    <div class="col q-uploader__title">Drop files here, or press + to choose them: measurements, tables, machine and
+      model files</div>
+    <q-btn flat dense round icon="add_box" aria-label="Choose files" @click="props.pickFiles"
+      ><q-uploader-add-trigger /></q-btn>
+  </div>
+</div>"""
+"""Quasar's own header has a button whose name is that of its icon."""
 
 
 def build(session: TabSession) -> None:
@@ -92,14 +103,14 @@ def _drop(of_tab: TabSession) -> None:
         session.on_change()
 
     # All files in one request: the page is rebuilt after it, and a second request under way would be lost.
-    ui.upload(
+    drop = ui.upload(
         multiple=True,
         auto_upload=True,
         max_file_size=LARGEST_UPLOAD,
         on_multi_upload=take,
         on_rejected=too_large,
-        label="Drop files here, or press + to choose them: measurements, tables, machine and model files",
     ).props('flat aria-label="Drop files"')
+    drop.add_slot("header", DROP_HEADER)
     trouble(of_tab, "drop")
 
 
@@ -183,9 +194,9 @@ class _Foreign:
 
 
 def _list(session: TabSession, used: Callable[[], None]) -> "list[_Row]":
-    with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
+    with ui.element("div").classes("scroll"), ui.element("table").classes("plain stacks"):
         with ui.element("thead"), ui.element("tr"):
-            for name in ("Use", "File", "Instrument", "Runs", "Readings", "Span", "Temperatures, remarks"):
+            for name in COLUMNS:
                 Words("th", name, "" if name in ("Runs", "Readings") else "words").props("scope=col")
         with ui.element("tbody"):
             return [_Row(session, name, used) for name in session.listing.measurements]
@@ -247,7 +258,10 @@ def _cells(s: Summary, box: ui.checkbox) -> list[Element]:
             with ui.element("details"):
                 Words("summary", counted(len(s.notes), "remark"))
                 _notes(s)
-    return [*cells, remarks]
+    cells.append(remarks)
+    for cell, name in zip(cells, COLUMNS[2:], strict=True):
+        cell.props["data-label"] = name
+    return cells
 
 
 def _notes(s: Summary) -> None:

@@ -6,7 +6,7 @@ from typing import Final
 
 from nicegui import ui
 
-from rtec.studio.pages.add import shown_residuals
+from rtec.studio.pages.add import present, shown_residuals
 from rtec.studio.pages.compare import shown_plot
 from rtec.studio.parts import actions
 from rtec.studio.parts.controls import Words, button, heading, label, lacking, waiting
@@ -139,6 +139,7 @@ async def _made(session: TabSession) -> ReportFiles | None:
         rank=session.rank,
         added=step.added.page.sections[:1] if step is not None and step.added is not None and "add" in chosen else (),
         residuals=shown_residuals(session, compared) if compared is not None and "add" in chosen else (),
+        now=present(compared) if compared is not None and "add" in chosen else None,
         previewed=session.previewed if "add" in chosen else None,
         foreign=_imported(session) if "import" in chosen else None,
         state=session.explored if "explore" in chosen else None,

@@ -19,6 +19,15 @@ function colours(value, style) {
   return value;
 }
 
+function inLines(text, letters) {
+  const lines = [""];
+  for (const word of text.split(" ")) {
+    if (lines.at(-1) && (lines.at(-1) + " " + word).length > letters) lines.push(word);
+    else lines.push((lines.pop() + " " + word).trim());
+  }
+  return lines.join("<br>");
+}
+
 export default {
   template: `<div class="chart" role="img"></div>`,
   // `view`: what the user changed of its layout on an earlier visit; `brushed`: readings that were marked then.
@@ -61,6 +70,11 @@ export default {
     styled() {
       const { data, layout } = colours(this.moved ?? this.options, getComputedStyle(document.body));
       for (const trace of data) if (trace.ids && marked !== null) trace.selectedpoints = this.lit(trace);
+      // A title that is longer than its axis is on several lines.
+      const letters = Math.max((this.$el.clientWidth - 110) / 8, 16);
+      for (const [name, axis] of Object.entries(layout))
+        if (/^xaxis/.test(name) && axis.title?.text?.length > letters)
+          axis.title = { ...axis.title, text: inLines(axis.title.text, letters) };
       // Plotly writes the part in sight into the ranges that it is given.
       for (const axis of [layout.xaxis, layout.yaxis]) if (axis?.range) axis.range = [...axis.range];
       // Without the box that was drawn: Plotly would select by it again, in its own plot only.

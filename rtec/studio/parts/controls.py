@@ -61,6 +61,10 @@ def from_home(path: str) -> str:
     return path
 
 
+MOST_COLUMNS = 4
+"""Of more columns, a table on a telephone has a line for each cell."""
+
+
 class Area:
     """A part of a page that is rebuilt alone, so that the rest keeps its position, its texts and the focus.
 
@@ -224,7 +228,8 @@ def tiles(numbers: Sequence[tuple[str, str]]) -> None:
 
 def table(content: "Table") -> None:
     """A table of texts."""
-    with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
+    kind = "plain stacks" if len(content.head) > MOST_COLUMNS else "plain"
+    with ui.element("div").classes("scroll"), ui.element("table").classes(kind):
         if content.caption:
             Words("caption", content.caption, "small").style("caption-side: bottom; text-align: left")
         with ui.element("thead"), ui.element("tr"):
@@ -234,7 +239,8 @@ def table(content: "Table") -> None:
             for row in content.rows:
                 with ui.element("tr"):
                     for k, cell in enumerate(row):
-                        Words("td", cell, "words" if k in content.words else "")
+                        made = Words("td", cell, "words" if k in content.words else "")
+                        made.props["data-label"] = clean_lines(content.head[k])
 
 
 def section(content: "Section", *, opened: bool = False) -> None:

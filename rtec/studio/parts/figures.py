@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.report.figures import log_ticks
 from rtec.report.thinning import MOST, by_place, cells_of, drawn, is_position, line_ends
 from rtec.text import clean
+from rtec.wording import ERROR_UNITS, number
 
 if TYPE_CHECKING:
     from rtec.report.evidence import Evidence
+    from rtec.report.history import Stairs
     from rtec.tasks.model import OutlierView, SeriesView
 
 Floats = NDArray[np.float64]
@@ -25,8 +28,8 @@ FEW, LARGE, SMALL = 2_000, 9, 6
 SINGLY = 1_000
 """Up to this many readings are drawn as SVG: WebGL starts slowly, and a browser has only 16 contexts for it."""
 WAYS = 2
-FEW_BARS = 3
-"""Of fewer, each is thin: one alone would fill the plot."""
+BETWEEN, ASIDE = 1.4, 0.7
+"""Space between two panels of bars, in bars; room for the number at the end of a bar, in the longest one."""
 DIGITS = 5
 
 
@@ -359,59 +362,65 @@ def evidence_figure(e: "Evidence", title: str = "") -> Figure:
     }
 
 
-def staircase(names: Sequence[str], errors: Sequence[float], floor: float | None, unit: str, at: int) -> Figure:
+def staircase(s: "Stairs") -> Figure:
     """The residual on held-out runs after each step, on a log axis, down to the noise floor.
 
-    Args:
-        names: names of the steps.
-        errors: residual after each step.
-        floor: noise floor; None where it is unknown.
-        unit: unit of errors and floor.
-        at: the current step; the others are pale.
+    The current step is large; the present residual of other measurements is a mark beside the steps.
     """
-    places = list(range(len(names)))
-    labels = [f"{e:.2f} {unit}" for e in errors]
-    traces: list[Figure] = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers+text",
-            "name": "residual on held-out runs",
-            "x": places,
-            "y": [float(e) for e in errors],
-            "text": labels,
-            "textposition": "top right",
-            "textfont": {"size": 16},
-            "cliponaxis": False,
-            "line": {"shape": "hv", "width": 4, "color": "@c3"},
-            "marker": {
-                "size": [20 if k == at else 12 for k in places],
-                "color": "@c3",
-                "line": {"width": 2, "color": "@ink"},
-            },
-            "hovertemplate": "%{text}<extra></extra>",
-        }
-    ]
-    low, high = min(errors), max(errors)
-    if floor:
-        low = min(low, floor)
+    unit, places = ERROR_UNITS.get(s.unit, s.unit), list(range(len(s.names)))
+    steps = len(places) - s.ends_now
+    end = max(len(places) - 0.2, 1.5)
+    point: Figure = {"type": "scatter", "textposition": "top right", "textfont": {"size": 16}, "cliponaxis": False}
+    point |= {"hovertemplate": "%{text}<extra></extra>"}
+    edge = {"width": 2, "color": "@ink"}
+    traces: list[Figure] = []
+    if steps:
+        traces.append(
+            point
+            | {
+                "mode": "lines+markers+text",
+                "name": "residual on held-out runs",
+                "x": places[:steps],
+                "y": s.errors[:steps],
+                "text": [f"{e:.2f} {unit}" for e in s.errors[:steps]],
+                "line": {"shape": "hv", "width": 4, "color": "@c3"},
+                "marker": {"size": [20 if k == s.at else 12 for k in places[:steps]], "color": "@c3", "line": edge},
+            }
+        )
+    if s.ends_now:
+        traces.append(
+            point
+            | {
+                "mode": "markers+text",
+                "name": "residual of these measurements",
+                "x": places[-1:],
+                "y": s.errors[-1:],
+                "text": [f"{s.errors[-1]:.2f} {unit}"],
+                "marker": {"size": 20, "symbol": "diamond", "color": "@c2", "line": edge},
+            }
+        )
+    notes: list[Figure] = []
+    known = [*s.errors, *([s.floor] if s.floor else [])]
+    low, high = min(known) / 1.7, max(known) * 1.6
+    if s.floor:
         traces.append(
             {
                 "type": "scatter",
                 "mode": "lines",
-                "name": f"noise floor, {floor:.2f} {unit}",
-                "x": [-0.4, len(names) - 0.2],
-                "y": [floor, floor],
-                "line": {"dash": "dash", "width": 3, "color": "@c2"},
+                "name": "noise floor",
+                "x": [-0.4, end],
+                "y": [s.floor, s.floor],
+                "line": {"dash": "dash", "width": 3, "color": "@ink"},
                 "hoverinfo": "skip",
             }
         )
-    ticks = [
-        v for v in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if low / 2.1 < v < high * 2.1
-    ]
+        below = {"x": end, "xanchor": "right", "y": float(np.log10(s.floor)), "yanchor": "top", "yshift": -4}
+        notes.append(below | {"text": f"noise floor {s.floor:.2f} {unit}", "showarrow": False, "font": {"size": 14}})
+    ticks = log_ticks(low, high)
     up = axis(
-        f"residual on held-out runs, {unit}",
+        f"residual on held-out runs, {unit}" if steps else f"residual, {unit}",
         type="log",
-        range=[float(np.log10(low / 1.5)), float(np.log10(high * 1.6))],
+        range=[float(np.log10(low)), float(np.log10(high))],
         fixedrange=True,
         tickvals=ticks,
         ticktext=[f"{v:g}" for v in ticks],
@@ -419,39 +428,70 @@ def staircase(names: Sequence[str], errors: Sequence[float], floor: float | None
     across = axis(
         "",
         fixedrange=True,
+        zeroline=False,
         tickvals=places,
-        ticktext=[_broken(n) for n in names],
-        range=[-0.4, max(len(names) - 0.2, 1.5)],
+        ticktext=[_broken(n) for n in s.names],
+        range=[-0.4, end],
     )
-    return {"data": traces, "layout": layout(xaxis=across, yaxis=up, dragmode=False)}
+    whole = layout(xaxis=across, yaxis=up, dragmode=False, showlegend=False, annotations=notes)
+    return {"data": traces, "layout": whole}
 
 
 def _broken(name: str) -> str:
-    return text(name).replace("(", "<br>(", 1)
+    return text(name).replace("(", "<br>(", 1).replace(", these", ",<br>these")
 
 
 def bars(rows: Mapping[str, float], units: Mapping[str, str], title: str, words: Mapping[str, str]) -> Figure:
-    """Bars, largest at the top, each with its name, its meaning in words, its number and its unit.
+    """Bars, largest at the top, in a panel for each unit; each with its name above, in words, its number and its unit.
 
     Args:
         rows: values by name, largest first.
         units, words: by name.
-        title: title of the horizontal axis.
+        title: title of the horizontal axes, without the unit.
     """
-    names = list(rows)[::-1]
-    values = [float(rows[n]) for n in names]
-    trace = {
-        "type": "bar",
-        "orientation": "h",
-        "x": values,
-        "y": [f"<b>{text(n)}</b><br>{text(words[n])}" for n in names],
-        "marker": {"color": "@c3"},
-        "text": [f"{v:.2f} {units[n]}" for n, v in zip(names, values, strict=True)],
-        "textposition": "outside",
-        "cliponaxis": False,
-        "width": 0.3 if len(values) < FEW_BARS else 0.7,
-    }
-    return {
-        "data": [trace],
-        "layout": layout(xaxis=axis(title, fixedrange=True), yaxis=axis("", fixedrange=True), dragmode=False),
-    }
+    groups = [(unit, [n for n in rows if units[n] == unit]) for unit in dict.fromkeys(units[n] for n in rows)]
+    lines = len(rows) + BETWEEN * (len(groups) - 1)
+    data: list[Figure] = []
+    whole = layout(dragmode=False, showlegend=False, margin={"l": 24, "r": 40, "t": 34, "b": 56}, annotations=[])
+    top = 1.0
+    for k, (unit, names) in enumerate(groups):
+        mark, values = str(k + 1) if k else "", [float(rows[n]) for n in names]
+        down = list(range(len(names)))
+        data.append(
+            {
+                "type": "bar",
+                "orientation": "h",
+                "x": values,
+                "y": down,
+                "xaxis": f"x{mark}",
+                "yaxis": f"y{mark}",
+                "customdata": names,
+                "marker": {"color": "@c3"},
+                "text": [f"{number(v, 2, sign=True)} {unit}" for v in values],
+                "textposition": "outside",
+                "textfont": {"size": 15},
+                "cliponaxis": False,
+                "width": 0.4,
+                "hovertemplate": "%{customdata}: %{text}<extra></extra>",
+            }
+        )
+        most = max(map(abs, values)) or 1.0
+        low, high = min(0.0, *values), max(0.0, *values)
+        ends = [low - (ASIDE if low < 0.0 else 0.04) * most, high + (ASIDE if high > 0.0 else 0.04) * most]
+        bottom = max(top - len(names) / lines, 0.0)
+        named = title if len(groups) == 1 else ("angles" if unit == "µrad" else "lengths")
+        across = axis(f"{named}, {unit}", fixedrange=True, range=ends, anchor=f"y{mark}", zeroline=True, nticks=6)
+        up = axis("", fixedrange=True, range=[len(names) - 0.5, -0.75], domain=[bottom, top], anchor=f"x{mark}")
+        whole[f"xaxis{mark}"] = across | {"zerolinecolor": "@ink"}
+        whole[f"yaxis{mark}"] = up | {"showticklabels": False, "showgrid": False, "zeroline": False, "showline": False}
+        for place, n in zip(down, names, strict=True):
+            at = {"xref": f"x{mark} domain", "x": 0, "xanchor": "left", "yref": f"y{mark}", "y": place - 0.28}
+            shown = {"text": f"<b>{text(n)}</b> {text(words[n])}", "showarrow": False, "yanchor": "bottom"}
+            whole["annotations"].append({**at, **shown, "align": "left", "font": {"size": 13}, "bgcolor": "@paper"})
+        top = bottom - BETWEEN / lines
+    return {"data": data, "layout": whole}
+
+
+def bars_px(units: Sequence[str]) -> int:
+    """Height of a plot of bars, from the unit of each."""
+    return round(90 + 58 * (len(units) + BETWEEN * (len(set(units)) - 1)))

@@ -85,6 +85,8 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
         found = _found(config)["status"]
         assert found["mode"] == "off"
         page.wait_for_function(FADED)
+        page.wait_for_function("!document.querySelector('.card.bad')")  # what was ordered is not wrong
+        assert page.locator(".q-btn.main:visible").count() == 0
     page.locator(".state.off", has_text="no answer").wait_for()
     text = config.read_text(encoding="utf-8").replace("counts_max_age_s = 5.0", "counts_max_age_s = 0.000001")
     config.write_text(text, encoding="utf-8")

@@ -9,11 +9,13 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from rtec.report.page import Page as ReportPage
+from rtec.report.page import Section, Table, render
 from tests.studio.browser.checks import CONTRAST, CONTROLS, FOCUS, NUMBERED, OVERLAPS
 from tests.studio.studio_rig import RunningStudio, Watched, needs_browser
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Browser, Page
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 
@@ -215,6 +217,98 @@ def test_on_a_telephone_the_bars_of_an_axis_stay_in_their_card(whole: Watched) -
             assert track["right"] - track["left"] > 60.0
     finally:
         page.set_viewport_size({"width": 1280, "height": 960})
+
+
+HIDDEN_CELLS = """() => [...document.querySelectorAll("table.stacks td")]
+  .filter((e) => e.checkVisibility() && e.textContent)
+  .filter((e) => { const r = e.getBoundingClientRect(); return r.left < 0 || r.right > innerWidth; })
+  .map((e) => e.textContent)"""
+COLUMN_BESIDE = """(column) => [...document.querySelectorAll("table.stacks td")]
+  .some((e) => getComputedStyle(e, "::before").content === `"${column}"`)"""
+
+
+@pytest.mark.parametrize(("name", "column"), [("Measurements", "Readings"), ("Live", "applied, µm")])
+def test_on_a_telephone_no_cell_of_a_wide_table_is_out_of_sight(whole: Watched, name: str, column: str) -> None:
+    """Oracle: the boxes of the cells, each with the name of its column beside it."""
+    page = whole.page
+    show(page, name)
+    page.set_viewport_size({"width": 390, "height": 844})
+    try:
+        page.wait_for_function("document.documentElement.scrollWidth <= 390")
+        page.locator(f"td[data-label='{column}']").first.wait_for()
+        assert page.evaluate(HIDDEN_CELLS) == []
+        page.wait_for_function(COLUMN_BESIDE, arg=column)  # Live rebuilds its tables
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 960})
+
+
+CUT_TITLES = """() => [...document.querySelectorAll(".chart")].flatMap((chart) => {
+  const edge = chart.getBoundingClientRect();
+  return [...chart.querySelectorAll(".xtitle, .x2title")].filter((e) => {
+    const r = e.getBoundingClientRect();
+    return r.left < edge.left - 1 || r.right > edge.right + 1;
+  }).map((e) => e.textContent);
+})"""
+
+
+def test_on_a_telephone_titles_of_axes_are_whole(whole: Watched) -> None:
+    """Oracle: the boxes of the titles and of their plots."""
+    page = whole.page
+    page.set_viewport_size({"width": 390, "height": 844})
+    try:
+        show(page, "Diagnose")
+        page.wait_for_selector(".chart[data-drawn=yes]")
+        assert page.evaluate(CUT_TITLES) == []
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 960})
+
+
+TEXTS_OVER_TEXTS = """(shows) => {
+  const chart = document.querySelector(`.chart[aria-label^="${shows}"]`);
+  const all = [...chart.querySelectorAll(".bartext, .annotation-text, .xtick text, .x2tick text, .xtitle, .x2title")]
+    .map((e) => [e.textContent, e.getBoundingClientRect()]);
+  const meet = ([, p], [, q]) => Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1
+    && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 1;
+  const pairs = all.flatMap((one, k) => all.slice(k + 1).filter((two) => meet(one, two))
+    .map((two) => [one[0], two[0]]));
+  const edge = chart.getBoundingClientRect();
+  const out = all.filter(([, r]) => r.left < edge.left || r.right > edge.right).map(([text]) => text);
+  return [all.length, pairs, out];
+}"""
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_numbers_and_names_of_component_errors_lie_apart(whole: Watched, width: int) -> None:
+    """Oracle: the boxes of all texts of the plot."""
+    page = whole.page
+    page.set_viewport_size({"width": width, "height": 960})
+    try:
+        show(page, "Explore")
+        page.locator(".chart[aria-label='Component errors at this place'][data-drawn=yes]").wait_for()
+        count, over, out = page.evaluate(TEXTS_OVER_TEXTS, "Component errors")
+        assert count > 4
+        assert (over, out) == ([], [])
+    finally:
+        page.set_viewport_size({"width": 1280, "height": 960})
+
+
+def test_the_button_that_chooses_files_says_so(whole: Watched) -> None:
+    """Oracle: the accessible name."""
+    show(whole.page, "Measurements")
+    whole.page.get_by_role("button", name="Choose files", exact=True).wait_for()
+    assert whole.page.get_by_role("button", name="add_box").count() == 0
+
+
+def test_a_report_fits_a_telephone(browser: "Browser") -> None:
+    """Oracle: the width of the page; a wide table scrolls in its own box, which keys reach."""
+    wide = Table([f"column number {k}" for k in range(9)], [["12345678.9"] * 9])
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    report = ReportPage("A title", "A lead", [("1.5\u00a0µm", "residual")], [Section("Table", [], wide)])
+    page.set_content(render(report))
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    box = page.get_by_role("region", name="Table")
+    assert box.evaluate("(e) => e.scrollWidth > e.clientWidth && e.tabIndex === 0")
+    page.close()
 
 
 @pytest.mark.parametrize("width", [390, 1280])

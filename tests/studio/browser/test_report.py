@@ -198,7 +198,7 @@ def test_the_machine_is_seen_from_the_same_place(page: "Page", workshop: Running
     _show(page, "Explore")
     chart = _chart(page, "The machine's links")
     _drag(page, chart, (0.5, 0.5), (0.65, 0.35))
-    page.wait_for_function(f"(e) => ({CAMERA})(e).eye.x !== 1.47", arg=chart.element_handle())
+    page.wait_for_function(f"(e) => ({CAMERA})(e).eye.x !== 1.4", arg=chart.element_handle())
     page.wait_for_timeout(1000)  # the view comes to rest
     camera, seen = _camera(chart.evaluate(CAMERA)), chart.evaluate(SEEN)
     machine = load_machine(MACHINE)
