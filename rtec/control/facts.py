@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from rtec.correction.flags import REASONS, Flag
 from rtec.text import joined
 from rtec.wording import ERROR_UNITS, POSITIONS_NOT_KNOWN, TO_RESUME
 
@@ -17,8 +16,6 @@ _MODES: Final = {
     "": "starting",
 }
 
-_OF_MODE: Final = {"off": (Flag.ORDERED_OFF, Flag.FADING), "hold": (Flag.ORDERED_HOLD,)}
-"""Flags that only say what was ordered, by mode."""
 INPUT_FAULTS: Final = frozenset({"STALE_COUNTS", "STALE_TEMPERATURE", "SENSOR_FAULT"})
 """Flags of a device or sensor that gives no good readings, whether it reports a fault or not."""
 
@@ -161,7 +158,10 @@ def troubles(report: Mapping[str, Any]) -> list[str]:
 
 def reasons_not_ordered(status: Mapping[str, Any]) -> list[str]:
     """Reasons of the correction's state without those that are what the ordered mode does."""
-    ordered = {REASONS[f] for f in _OF_MODE.get(status["mode"], ())}
+    from rtec.correction.flags import REASONS, Flag
+
+    of_mode = {"off": (Flag.ORDERED_OFF, Flag.FADING), "hold": (Flag.ORDERED_HOLD,)}
+    ordered = {REASONS[f] for f in of_mode.get(status["mode"], ())}
     return [r for r in status["reasons"] if r not in ordered]
 
 

@@ -187,13 +187,13 @@ def otherwise_on_the_day_of_the_fit(model: Model, after: Model) -> tuple[str, ..
     """Axes that would have expanded otherwise than a model found it on the day of its fit, in words.
 
     A further temperature may share an expansion with those before. Where all of them warm as they did then, their sum
-    is what that day showed.
+    is what that day showed. A temperature that hardly varied then showed nothing.
 
     Args:
         model: with its errors, and the ranges of the sensors on the day of its fit.
         after: the model with more effects.
     """
-    span = {n: high - low for n, (low, high) in of_the_fit(model).items() if high > low}
+    span = {n: high - low for n, (low, high) in of_the_fit(model).items() if high - low >= WARMER_K}
     out, grown = [], _expansions(after)
     for part, was in _expansions(model).items():
         now = grown.get(part, [])

@@ -83,8 +83,8 @@ def test_a_box_that_started_anew_waits_for_the_order(faulted: dict[str, Any]) ->
     assert "ordered to resume" in found["told"]["box"]
     assert found["noticed_s"] + found["held_s"] > 1.4
     assert not found["recovered_s"] < 0.4  # the order comes half a second behind its end
-    # Its ledger is zero meanwhile: the machine is as wrong as without correction.
-    assert found["largest_um"] > 0.5 * faulted["facts"]["buses"]["off"]["largest_um"]
+    # Its ledger is zero meanwhile: the machine is as wrong as without correction, some 20 µm.
+    assert found["largest_um"] > 10.0
 
 
 def test_a_silent_slave_ages_its_own_channels_only(faulted: dict[str, Any]) -> None:
