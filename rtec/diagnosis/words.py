@@ -108,8 +108,8 @@ TOGETHER = "to be added together with rank 1"
 NONE_SETTLES = "none of the usual tests on this machine settles it alone"
 AMONG = "named together with rank 1"
 BESIDE = "explains another part than rank 1; may be missing too"
-NOTHING_BESIDE = "beside rank 1 it does not lower the error on held-out runs"
-OF_NO_MACHINE = "describes the same, but by a size that no machine has"
+NO_BETTER_BESIDE = "beside rank 1 it does not lower the error on held-out runs"
+OF_NO_MACHINE = "describes the same, but would have a size that no machine has"
 MOST_NUMBERS = 4
 
 

@@ -12,6 +12,7 @@ import pytest
 
 import rtec
 from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.estimation.readings import looked_at, read
 from rtec.metrology.measurement import Measurement
 from tests.support.setups import CONFIGS
 
@@ -49,11 +50,22 @@ def test_the_likeliest_besides_is_so_beside_the_first(order: Sequence[str]) -> N
 
 
 def test_the_order_of_the_files_changes_nothing() -> None:
-    """Drawing other readings for the first look had turned the verdict, and the first name with it."""
+    """The verdict, and the first name with it, had turned."""
     one, other = (found(order) for order in ORDERS)
     assert one.sentence == other.sentence
     assert [f.label for f in one.findings] == [f.label for f in other.findings]
     assert [f.log_evidence for f in one.findings] == pytest.approx([f.log_evidence for f in other.findings], abs=0.01)
+
+
+def test_the_first_look_draws_the_same_readings_in_any_order() -> None:
+    """Oracle: what it draws of each file, by name."""
+    drawn = []
+    for order in ORDERS:
+        readings = read([circle(d) for d in order])
+        keep = looked_at(readings)
+        assert not keep.all()
+        drawn.append({readings.measurements[s.source].name: keep[s.part].tobytes() for s in readings.series})
+    assert drawn[0] == drawn[1]
 
 
 def test_its_number_and_its_share_are_those_beside_the_first() -> None:

@@ -244,7 +244,6 @@ def test_sensors_that_predict_alike_stay_rivals_within_what_a_sensor_can_feign()
     asked.readings = SimpleNamespace(machine=small_machine())
     candidates = [SimpleNamespace(effect=e) for e in (*shifts, shifts[0], shifts[1])]
     asked.s = SimpleNamespace(chain=(), prior_odds=3.0, candidates=candidates)
-    asked._of_no_machine = lambda *_: False
 
     def fitted(number: int, log_evidence: float, drop: float) -> Any:
         return SimpleNamespace(number=number, log_evidence=log_evidence, drop=drop, within=drop, holds=True)

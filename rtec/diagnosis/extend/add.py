@@ -157,7 +157,7 @@ class Added(Result):
         passed_over: effects that these readings cannot distinguish from the added one.
         undetermined: effects that cancel each other since the addition: only their sum is determined.
         doubts: about the record, in words, where they rule out fitting any number of the model to it.
-        impossible: numbers that no machine has, in words.
+        impossible: numbers that no machine has, or that this one had not on the day of the fit, in words.
         own_kept: number of effects of the model, from the first on, that have kept their numbers.
         changed: numbers of the model that have changed since the readings that it was fitted to.
         unmeasured: motions of the tool that the added effects bring along and that no reading shows.

@@ -65,6 +65,7 @@ MOSTLY_NAMED = 0.5
 a file is that the model meets far worse than those of its fit: what is named is the reason."""
 UNHEARD = 100.0
 """A standard error this many times the number and its usual size means that the number is not determined."""
+TINY = 1e-12
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 
@@ -145,10 +146,7 @@ class _Answer:
     def _findings(self, found: Screen, refitted: list[Refitted], p: float, accepted: bool) -> tuple[Finding, ...]:
         if not refitted:
             return ()
-        same = [
-            self._same(found, refitted[0], t) or (t.number != self.s.partner and self._disputes(found, refitted[0], t))
-            for t in refitted
-        ]
+        same = [t.number != self.s.partner and self._rivals(found, refitted[0], t) for t in refitted]
         mine = found.contribution(refitted[0].number)
         besides = [
             accepted and s and cosine(mine, found.contribution(t.number)) < APART
@@ -173,22 +171,24 @@ class _Answer:
         """The same; what explains another part than the first is fitted and judged beside it, the likeliest first.
 
         Alone, a form with a number of its own takes up a part of the first as well.
+
+        Args:
+            refitted: candidates, the first one first.
+            same: whether each is a rival of the first, or may be missing besides.
+            besides: whether each may be missing besides.
         """
-        if not self.s.explain or not any(besides):
+        if not self.s.explain or self.s.partner is not None or not any(besides):
             return refitted, same, besides
-        first, places = refitted[0], [i for i, b in enumerate(besides) if b]
-        whole = self.s.refits.these_beside(first, [refitted[i].number for i in places])
-        each = [
-            replace(
-                t,
-                log_evidence=t.log_evidence - first.log_evidence,
-                drop=1.0 - (1.0 - t.drop) / (1.0 - first.drop),
-            )
-            for t in whole
-        ]
-        out, holds = [*refitted], [*besides]
-        for i, t in zip(places, sorted(each, key=lambda t: -t.log_evidence), strict=True):
-            out[i], holds[i] = t, t.holds and t.drop > 0.0 and t.log_evidence > 0.0
+        first, left = refitted[0], max(1.0 - refitted[0].drop, TINY)
+        whole = self.s.refits.these_beside(first, [t.number for t, b in zip(refitted, besides, strict=True) if b])
+        each = {
+            t.number: replace(t, log_evidence=t.log_evidence - first.log_evidence, drop=1.0 - (1.0 - t.drop) / left)
+            for t in sorted(whole, key=lambda t: -t.log_evidence)
+        }
+        out, at = [*refitted], [i for i, t in enumerate(refitted) if t.number in each]
+        for i, t in zip(at, each.values(), strict=True):
+            out[i] = t
+        holds = [t.number in each and t.holds and t.drop > 0.0 and t.log_evidence > 0.0 for t in out]
         return out, [s and (h or not b) for s, h, b in zip(same, holds, besides, strict=True)], holds
 
     def _posterior(self, odds: Floats, among: NDArray[np.bool_]) -> Floats:
@@ -238,16 +238,23 @@ class _Answer:
             return words.AMONG
         whole = self.s.chain[-1].log_evidence if self.s.chain else None
         if t.before is not None and not self.s.chain:
-            return words.NOTHING_BESIDE
-        if self._of_no_machine(self.s.found, t.number):
+            return words.NO_BETTER_BESIDE
+        found, winner = self.s.found, self.s.refitted[0]
+        one_shape = cosine(found.contribution(winner.number), found.contribution(t.number)) > SAME
+        if one_shape and self._of_no_machine(found, t.number):
             return words.OF_NO_MACHINE
-        return words.why_not(t.log_evidence, self.s.refitted[0].log_evidence, t.gain, same, whole)
+        return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same, whole)
+
+    def _rivals(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
+        """Whether another candidate may be missing as well as the winner, by these readings and by its size."""
+        either = self._same(found, winner, other) or self._disputes(found, winner, other)
+        return either and not self._of_no_machine(found, other.number)
 
     def _same(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether these readings cannot distinguish another candidate from the winner."""
         if winner.number == other.number:
             return True
-        if self._by_chance(winner, other.number, other.theta) or self._of_no_machine(found, other.number):
+        if self._by_chance(winner, other.number, other.theta):
             return False
         if self.s.chain:
             return cosine(found.contribution(winner.number), found.contribution(other.number)) > SAME
@@ -279,7 +286,7 @@ class _Answer:
 
         One that is not significant by itself must explain the same part of the readings.
         """
-        if self.s.chain or not other.holds or other.log_evidence <= 0.0 or self._of_no_machine(found, other.number):
+        if self.s.chain or not other.holds or other.log_evidence <= 0.0:
             return False
         sure = other.log_evidence - self.s.prior_odds > SURE
         if not sure and cosine(found.contribution(winner.number), found.contribution(other.number)) < APART:
@@ -314,7 +321,7 @@ class _Answer:
             other = self.s.candidates[number].effect
             cos = cosine(shape, found.contribution(number))
             if number in fitted:
-                same = self._same(found, winner, fitted[number]) or self._disputes(found, winner, fitted[number])
+                same = self._rivals(found, winner, fitted[number])
                 behind = winner.log_evidence - fitted[number].log_evidence
             else:
                 same = cos > SAME and found.variants[found.best[number]].count <= width

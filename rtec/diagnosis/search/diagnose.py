@@ -493,8 +493,9 @@ class Search:
         """All candidates beside the named one; of very many readings some are skipped, and sizes are then unknown."""
         if not self.explain or not named or self.refits.subset[1] is not self.readings:
             return None
-        fit = (pair[1] if pair is not None else refitted[0]).fit
-        return self.refits.weigh(fit.whitener, fit.columns)
+        if pair is None:
+            return self.refits.screen_beside(refitted[0])
+        return self.refits.weigh(pair[1].fit.whitener, pair[1].fit.columns)
 
     def _accepts(self, best: Refitted, p: float) -> bool:
         """Noise alone is unlikely, or the evidence of a lean effect overwhelming with the refitted noise; and held-out

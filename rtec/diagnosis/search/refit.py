@@ -255,6 +255,7 @@ class Refits:
         self.alternatives = Counter((c.effect.effect, c.effect.component) for c in candidates)
         self.bank = Bank(self.readings, candidates, self.subset[0])
         self._refitted_beside: dict[int, list[Refitted]] = {}
+        self._screened_beside: dict[int, Screen] = {}
 
     @cached_property
     def current(self) -> Fit:
@@ -373,17 +374,24 @@ class Refits:
         return self._refitted_beside[first.number]
 
     def these_beside(self, first: Refitted, numbers: Sequence[int]) -> list[Refitted]:
-        """Some candidates, each fitted together with a first one; the evidence is that of both."""
+        """Those of some candidates that explain anything beside a first one, each fitted together with it; the evidence
+        is that of both.
+        """
         there = {t.number: t for t in self._refitted_beside.get(first.number, ())}
-        others = [n for n in numbers if n not in there]
+        others = [n for n in numbers if n not in there and n in self.screen_beside(first).best]
         there |= {t.number: t for t in (self._refit_beside(first, others) if others else ())}
-        return [there[n] for n in numbers]
+        return [there[n] for n in numbers if n in there]
+
+    def screen_beside(self, first: Refitted) -> Screen:
+        """Screen of all candidates beside a first one."""
+        if first.number not in self._screened_beside:
+            self._screened_beside[first.number] = self.weigh(first.fit.whitener, first.fit.columns)
+        return self._screened_beside[first.number]
 
     def _refit_beside(self, first: Refitted, numbers: Sequence[int] | None = None) -> list[Refitted]:
         """These candidates beside a first one, or without any numbers the best."""
         width = self.prepared.base.shape[1]
-        base = np.concatenate([self.prepared.base, first.columns], axis=1)
-        found = self.weigh(first.fit.whitener, base)
+        base, found = first.fit.columns, self.screen_beside(first)
 
         def refit(number: int) -> Refitted:
             theta, columns, fit, likely = self._fitted(found, number, base)
