@@ -208,7 +208,7 @@ def otherwise_on_the_day_of_the_fit(model: Model, after: Model) -> tuple[str, ..
             )
         out += [
             f"The expansion of {part[1]} by {one.sensor} would grow from {significant(one.k, 2)} to "
-            f"{significant(other.k, 2)} µm/(m·K), and another would take it back."
+            f"{significant(other.k, 2)} µm/(m·K), and another expansion would take it back."
             for one, other in zip(was, now, strict=False)
             if abs(other.k) - abs(one.k) > max(SHARED * abs(one.k), SURER * one.error) and one.sensor not in new
         ]

@@ -159,7 +159,7 @@ def test_a_report_is_checked_in_every_command() -> None:
 
 
 def test_a_folder_that_may_not_be_written_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: `os.access`, of which root is told otherwise."""
+    """Oracle: `os.access` of a user who may not write there; root may write everywhere."""
     assert cannot_be_made(tmp_path / "a" / "b") == ""
     monkeypatch.setattr(os, "access", lambda *_: False)
     assert cannot_be_made(tmp_path / "a" / "b") == f"{tmp_path} may not be written to"
