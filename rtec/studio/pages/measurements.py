@@ -24,15 +24,10 @@ LARGEST_UPLOAD = 512 * 1024 * 1024
 FEW = 2
 """Remarks that are not folded away."""
 COLUMNS: Final = ("Use", "File", "Instrument", "Runs", "Readings", "Span", "Temperatures, remarks")
-DROP_HEADER: Final = """<div class="q-uploader__header-content column">
-  <div class="row no-wrap items-center">
-    <div class="col q-uploader__title">Drop files here, or press + to choose them: measurements, tables, machine and
-      model files</div>
-    <q-btn flat dense round icon="add_box" aria-label="Choose files" @click="props.pickFiles"
-      ><q-uploader-add-trigger /></q-btn>
-  </div>
-</div>"""
-"""Quasar's own header has a button whose name is that of its icon."""
+PICK: Final = """(event) => {
+  const input = event.target.closest(".q-uploader").querySelector("input[type=file]");
+  if (event.target !== input) input.click();  // a finger or a mouse clicks the input itself, which lies on the button
+}"""
 
 
 def build(session: TabSession) -> None:
@@ -110,8 +105,21 @@ def _drop(of_tab: TabSession) -> None:
         on_multi_upload=take,
         on_rejected=too_large,
     ).props('flat aria-label="Drop files"')
-    drop.add_slot("header", DROP_HEADER)
+    _drop_header(drop)
     trouble(of_tab, "drop")
+
+
+def _drop_header(drop: ui.upload) -> None:
+    """What the drop zone says, and its button.
+
+    Quasar's own header has a button whose name is that of its icon. The parts are elements of the page: a template
+    would be made anew at every change of the page, and the button would lose the focus of the keyboard.
+    """
+    with drop.add_slot("header"), ui.element("div").classes("q-uploader__header-content row no-wrap items-center"):
+        text = "Drop files here, or press + to choose them: measurements, tables, machine and model files"
+        Words("div", text, "col q-uploader__title")
+        with label(ui.element("q-btn").props("flat dense round icon=add_box"), "Choose files").on("click", js_handler=PICK):
+            ui.element("q-uploader-add-trigger")
 
 
 def _unread(session: TabSession) -> None:

@@ -292,11 +292,23 @@ def test_numbers_and_names_of_component_errors_lie_apart(whole: Watched, width: 
         page.set_viewport_size({"width": 1280, "height": 960})
 
 
-def test_the_button_that_chooses_files_says_so(whole: Watched) -> None:
-    """Oracle: the accessible name."""
-    show(whole.page, "Measurements")
-    whole.page.get_by_role("button", name="Choose files", exact=True).wait_for()
-    assert whole.page.get_by_role("button", name="add_box").count() == 0
+def test_the_button_that_chooses_files_says_so_and_opens_the_dialog_once(whole: Watched) -> None:
+    """Oracle: the accessible name; the browser's own event of a file dialog."""
+    page = whole.page
+    show(page, "Measurements")
+    button = page.get_by_role("button", name="Choose files", exact=True)
+    button.wait_for()
+    assert page.get_by_role("button", name="add_box").count() == 0
+    opened: list[object] = []
+    note = lambda chooser: opened.append(chooser)  # noqa: E731, PLW0108 - playwright takes no method of a list
+    page.on("filechooser", note)
+    with page.expect_file_chooser():
+        button.click()
+    button.focus()
+    with page.expect_file_chooser():
+        page.keyboard.press("Enter")
+    page.remove_listener("filechooser", note)
+    assert len(opened) == 2
 
 
 def test_a_report_fits_a_telephone(browser: "Browser") -> None:
