@@ -21,6 +21,7 @@ from rtec.estimation.visible import (
     visible_components,
 )
 from rtec.machine import Machine
+from rtec.machine.chain import component_unit
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +33,8 @@ LEAST = 24
 """Smallest number of candidates for each component."""
 VISIBLE = 1e-6
 """A column is not visible if less than this share of it is independent of geometry and nuisance parameters."""
+SECOND_NAME = 0.02
+"""An angle is not separated from a shift if less than this share of it is independent of the shift and of geometry."""
 BASE_DEGREE = 2
 STRAIGHT = ("scale", "squareness")
 ALONG = ("position", "direction", "region", "cyclic")
@@ -127,7 +130,9 @@ def screen(
         # An angle that shows at one arm only would be a second name for a shift, and free of the limits of the first.
         arms = lever_arms([s.measurement for s in few])
         behind = {s.name for s in seen if behind_arm(s.name, shown, arms)}
-        candidates = [replace(c, offered=False) if c.component in behind else c for c in candidates]
+        shifts = [c for c in warm if c.component in shown and not _turns(c)]
+        twins = _second_names(whole, [c for c in shapes if _simple(c)], [c for c in kept if _turns(c)], shifts)
+        candidates = [replace(c, offered=False) if c.component in behind or c.label in twins else c for c in candidates]
     return Screened(tuple(few), tuple(seen), tuple(candidates), tuple(table), tuple(unused))
 
 
@@ -176,6 +181,38 @@ def _correlate(
     return out
 
 
+def _second_names(
+    sources: Sequence[Source],
+    base: Sequence[TermCandidate],
+    angles: Sequence[TermCandidate],
+    shifts: Sequence[TermCandidate],
+) -> set[str]:
+    """Labels of angles with a temperature that these readings do not separate from shifts with the same temperature.
+
+    Such as of an axis that a laser reads at one lever arm while it warms up, and a ball bar at many arms at one
+    temperature. A constant angle takes the difference at that temperature.
+    """
+    pairs = [(angle, shift) for angle in angles for shift in shifts if _twin(angle) == _twin(shift)]
+    n = len(pairs)
+    if not n:
+        return set()
+    normal = gather(sources, [c.term for c in (*base, *(a for a, _ in pairs), *(s for _, s in pairs))], by_fold=True)
+    known = np.flatnonzero(normal.share_left()[: int(np.searchsorted(normal.owner, len(base)))] > VISIBLE)
+    gram = residual_gram(normal, np.searchsorted(normal.owner, len(base) + np.arange(2 * n)), known)
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    apart = 1.0 - (np.diag(gram, n) / size[:n] / size[n:]) ** 2
+    return {angle.label for (angle, _), share in zip(pairs, apart, strict=True) if share < SECOND_NAME}
+
+
+def _twin(candidate: TermCandidate) -> tuple[str, ...]:
+    """What an angle and a shift have in common that may be the same at some readings."""
+    return candidate.effect, candidate.component[2:], candidate.feature
+
+
+def _turns(candidate: TermCandidate) -> bool:
+    return component_unit(candidate.component) == "urad"
+
+
 def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Floats, float]:
     """Residuals of each column and of the readings after a fit of the base and the explicit nuisance parameters.
 
@@ -197,13 +234,16 @@ def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Flo
     return np.maximum(d, 0.0), e, max(left, 1e-300)
 
 
-def residual_gram(normal: Normal, columns: NDArray[np.int64]) -> Floats:
-    """Gram matrix of some columns, orthogonal to the explicit nuisance parameters."""
-    total, extra = normal.total, np.arange(normal.width, len(normal.total) - 1)
-    cross = total[np.ix_(extra, columns)]
-    inner = total[np.ix_(columns, columns)]
+def residual_gram(normal: Normal, columns: NDArray[np.int64], base: NDArray[np.int64] | None = None) -> Floats:
+    """Gram matrix of some columns, orthogonal to a base and the explicit nuisance parameters."""
+    total = normal.total
+    known = np.arange(normal.width, len(total) - 1)
+    known = known if base is None else np.concatenate([base, known])
+    size = np.sqrt(np.maximum(np.diag(total)[known], 1e-300))
+    cross = total[np.ix_(known, columns)] / size[:, None]
+    inner = total[np.ix_(known, known)] / np.outer(size, size)
     return np.asarray(
-        inner - cross.T @ np.linalg.pinv(total[np.ix_(extra, extra)], rcond=1e-11, hermitian=True) @ cross
+        total[np.ix_(columns, columns)] - cross.T @ np.linalg.pinv(inner, rcond=1e-11, hermitian=True) @ cross
     )
 
 

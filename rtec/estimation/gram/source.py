@@ -259,19 +259,26 @@ def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[tuple[st
         if not np.isfinite(whole).all():
             lost = f"{sensor} is not used: {int((~np.isfinite(whole)).sum())} of its readings are missing"
             why.append((lost, f"write them into the file, or {LEAVE_OUT}"))
-        elif (varied := float(np.ptp(np.percentile(whole, INNER)))) < REAL_K:
+        elif (varied := varied_k(sources, sensor)) < REAL_K:
             still[sensor] = varied
         else:
             good.append(sensor)
     return good, [*why, *_still(still)]
 
 
-def _still(varied_k: dict[str, float]) -> list[tuple[str, str]]:
+def varied_k(sources: Sequence[Source], front: str, back: str = "") -> float:
+    """Range of a temperature, or of the difference of two: of the inner 98 % of the readings of all files, K."""
+    read = [s.measurement.channels for s in sources]
+    whole = np.concatenate([c[front] - c[back] if back else c[front] for c in read])
+    return float(np.ptp(np.percentile(whole, INNER)))
+
+
+def _still(ranges_k: dict[str, float]) -> list[tuple[str, str]]:
     """One sentence for all sensors that hardly varied, and what to do."""
-    if not varied_k:
+    if not ranges_k:
         return []
-    are = "is" if len(varied_k) == 1 else "are"
-    listed = ", ".join(f"{name} ({k:.2f} K)" for name, k in varied_k.items())
+    are = "is" if len(ranges_k) == 1 else "are"
+    listed = ", ".join(f"{name} ({k:.2f} K)" for name, k in ranges_k.items())
     text = f"{listed} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"
     return [(text, f"let it warm up more, or {LEAVE_OUT}")]
 

@@ -118,7 +118,9 @@ def _drop_header(drop: ui.upload) -> None:
     with drop.add_slot("header"), ui.element("div").classes("q-uploader__header-content row no-wrap items-center"):
         text = "Drop files here, or press + to choose them: measurements, tables, machine and model files"
         Words("div", text, "col q-uploader__title")
-        with label(ui.element("q-btn").props("flat dense round icon=add_box"), "Choose files").on("click", js_handler=PICK):
+        with label(ui.element("q-btn").props("flat dense round icon=add_box"), "Choose files").on(
+            "click", js_handler=PICK
+        ):
             ui.element("q-uploader-add-trigger")
 
 
