@@ -113,7 +113,7 @@ def _drop_header(drop: ui.upload) -> None:
     """What the drop zone says, and its button.
 
     Quasar's own header has a button whose name is that of its icon. The parts are elements of the page: a template
-    would be made anew at every change of the page, and the button would lose the focus of the keyboard.
+    would be made again at every change of the page, and the button would lose the focus of the keyboard.
     """
     with drop.add_slot("header"), ui.element("div").classes("q-uploader__header-content row no-wrap items-center"):
         text = "Drop files here, or press + to choose them: measurements, tables, machine and model files"
