@@ -13,7 +13,7 @@ from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.effects.spindle import of_spindle
 from rtec.estimation.candidates import library
-from rtec.estimation.gram.source import REAL_K, Source, both_ways, gone_along, lags_s, reads, speed_varies, varied_k
+from rtec.estimation.gram.source import Source, both_ways, gone_along, lags_s, reads, speed_varies
 from rtec.estimation.gram.stream import Term
 from rtec.estimation.readings import read
 from rtec.estimation.visible import VisibleComponent, moves
@@ -189,10 +189,6 @@ def away_from(machine: Machine, sensor: str, axis: str, varying: Sequence[str]) 
     return int(not own(sensor) and any(map(own, varying)))
 
 
-PART_OF_RANGE = 0.25
-"""A shape along an axis is no candidate if a temperature varied by a smaller part of its range while the axis moved."""
-
-
 def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[TermCandidate]:
     """Temperature, difference and speed candidates of a component: alone, times position, times its square."""
     axis, taus, runs = seen.axis, lags_s(sources), speed_varies(sources)
@@ -203,14 +199,6 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
     shift = growth if own or kind != "link" else "mount_expansion"
     # Where an axis moves, its mounting shifts or turns the readings as much as a body that is no spindle does.
     twice = not own and any(moves(s.measurement, a) for s in sources for a in machine.axes)
-    there = [] if axis is None else [s for s in sources if reads(s, seen.name) and moves(s.measurement, axis)]
-
-    def along(front: str, back: str = "") -> bool:
-        """Whether a temperature varied enough where the axis moves: a shape along it shows nowhere else."""
-        if axis is None or not seen.moves:
-            return False
-        return not there or varied_k(there, front, back) >= max(REAL_K, PART_OF_RANGE * varied_k(sources, front, back))
-
     for sensor in varying:
         for tau in (None, *taus):
             lag: dict[str, Any] = {} if tau is None else {"lag": True}
@@ -223,7 +211,7 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
                 yield _candidate("temperature", shift, seen.name, theta, **more)
                 continue
             yield _candidate("temperature", "mount_expansion", seen.name, theta, **more)
-            if axis is not None and seen.name[2] != "0" and along(sensor):
+            if axis is not None and seen.moves and seen.name[2] != "0":
                 more["axis"] = axis.name
                 away = away_from(machine, sensor, axis.name, varying)
                 for grows in ("axis_expansion", "axis_expansion_nonuniform"):
@@ -231,7 +219,7 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
     for front, back in itertools.combinations(varying, 2):
         more = {"feature": f"{front} - {back}", "channels": (front, back), "front": front, "back": back}
         yield _candidate("difference", "column_tilt", seen.name, **more)
-        if axis is not None and kind == "straightness" and along(front, back):
+        if axis is not None and seen.moves and kind == "straightness":
             yield _candidate("difference", "bed_bending", seen.name, axis=axis.name, **more)
     if axis is None and runs:
         for p, tau in itertools.product(EXPONENTS, taus):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +11,14 @@ from rtec.characterise.candidates import TermCandidate, catalogue, extended, geo
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind
 from rtec.estimation.gram.normal import Normal
-from rtec.estimation.gram.source import Source, reads, thinned, varying_sensors
+from rtec.estimation.gram.source import REAL_K, Source, reads, thinned, varied_k, varying_sensors
 from rtec.estimation.gram.stream import gather
 from rtec.estimation.visible import (
     VisibleComponent,
     behind_arm,
     lever_arms,
     lines_shown,
+    moves,
     read_directly,
     visible_components,
 )
@@ -106,6 +108,8 @@ def screen(
     if allowed is not None:
         where = _asked_components(allowed, [*shapes, *warm], shown, few[0].measurement.machine)
         shapes, warm = ([c for c in part if c.component in where.get(c.effect, ())] for part in (shapes, warm))
+    else:
+        warm = [c for s in seen for c in _varied_along(s, [c for c in warm if c.component == s.name], few)]
     budget = max(LEAST, (COLUMNS - len(shapes)) // max(len(seen), 1))
     kept: list[TermCandidate] = []
     table: list[Correlation] = []
@@ -179,6 +183,26 @@ def _correlate(
         r = float(np.clip(e[k] / size[k], -1.0, 1.0)) if share[k] > VISIBLE else 0.0
         out.append(Correlation(candidate, r, float(max(share[k], 0.0))))
     return out
+
+
+def _varied_along(
+    seen: VisibleComponent, warm: Sequence[TermCandidate], sources: Sequence[Source]
+) -> list[TermCandidate]:
+    """Candidates of a component without shapes along its axis of temperatures that hardly varied while it moved.
+
+    Where the axis stands still, such a shape is a drift under another name.
+    """
+    axis = seen.axis
+    there = [s for s in sources if axis is not None and reads(s, seen.name) and moves(s.measurement, axis)]
+    if axis is None or not there:
+        return [*warm]
+    machine = sources[0].measurement.machine
+
+    @cache
+    def varied(*sensors: str) -> bool:
+        return varied_k(there, *sensors) >= REAL_K
+
+    return [c for c in warm if axis.channel not in c.term.effect.channels(machine) or varied(*c.channels)]
 
 
 def _second_names(
