@@ -414,6 +414,13 @@ def test_a_direction_that_contradicts_the_positions_is_told(tmp_path: Path) -> N
         assert ("dir_x contradicts the order of x_mm in 11 of 11 moves: right sign?" in notes) is told
 
 
+def test_an_axis_that_never_moves_in_its_own_measurement_is_refused(tmp_path: Path) -> None:
+    """Where nothing moves, as in a warm-up, nothing contradicts the TOML."""
+    said = 'axis = "X" in its TOML, but X never moves here and Y does: name the axis along which it reads'
+    assert said in fault(as_parquet(tmp_path, x_mm=[300.0] * 12, y_mm=[10.0 * i for i in range(12)]))
+    assert load_measurement(as_parquet(tmp_path, x_mm=[300.0] * 12), machine()).channels["x"].tolist() == [300.0] * 12
+
+
 def test_parquet_takes_integers_and_small_floats(tmp_path: Path) -> None:
     path = as_parquet(tmp_path, run=pa.array([1] * 12, pa.int8()), z_mm=pa.array([1.5] * 12, pa.float32()))
     assert load_measurement(path, machine()).channels["z"].tolist() == [1.5] * 12

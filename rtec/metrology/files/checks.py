@@ -6,10 +6,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtec.machine import Machine
-from rtec.metrology.contradicted import contradicted
+from rtec.metrology.contradicted import MOVED_MM, contradicted
 from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.table import Bools, Floats, Raw
 from rtec.metrology.files.toml import Leniency
+from rtec.metrology.instruments.base import Instrument
+from rtec.wording import listed
 
 # Values that loggers write for a broken sensor. They are faults only outside the sensor's own range.
 TEMPERATURE_CODES: Mapping[float, str] = {
@@ -225,6 +227,17 @@ def check_order(raw: Raw, faults: Faults) -> None:
         "a run is one uninterrupted traverse or cycle; give it a number of its own",
         droppable=False,
     )
+
+
+def check_axis(raw: Raw, instrument: Instrument, machine: Machine, faults: Faults) -> None:
+    """Report an axis that never moves in its own measurement while another one does."""
+    if not instrument.along or instrument.axis not in machine.axis_names:
+        return
+    spans = {a.name: float(np.ptp(raw.columns.get(f"{a.channel}_mm", np.zeros(1)))) for a in machine.axes}
+    moving = [name for name, span in spans.items() if span > MOVED_MM]
+    if moving and instrument.axis not in moving:
+        said = f'axis = "{instrument.axis}" in its TOML, but {instrument.axis} never moves here and {listed(moving)} '
+        faults.whole(f"{said}{'does' if len(moving) == 1 else 'do'}: name the axis along which it reads")
 
 
 def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:

@@ -70,6 +70,7 @@ class Instrument(ABC):
         needs: keys of `[setup]` that are needed unless a component is named, beside those without a default.
         direct: unit of a component that it may read directly; None where it cannot.
         at_rest: it reads while the axes are at rest, unless their velocities are recorded.
+        along: its axis is the one that moves from reading to reading.
         setup: the `[setup]` table.
         axis: axis that it follows, if any.
         component: component that it reads directly, if any.
@@ -82,6 +83,7 @@ class Instrument(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     direct: ClassVar[Literal["um", "urad"] | None] = None
     at_rest: ClassVar[bool] = True
+    along: ClassVar[bool] = False
 
     setup: InstrumentSetup
     axis: str | None = None

@@ -57,6 +57,7 @@ class LaserLinear(AffineInstrument):
     title = "Laser interferometer, linear"
     setup_model = LaserLinearSetup
     axis_use = "required"
+    along = True
     direct = "um"
     setup: LaserLinearSetup
 
@@ -117,6 +118,7 @@ class LaserAngular(AffineInstrument):
     setup_model = LaserAngularSetup
     needs = ("about",)
     axis_use = "required"
+    along = True
     direct = "urad"
     setup: LaserAngularSetup
 

@@ -65,6 +65,7 @@ class StraightnessProbe(AffineInstrument):
     setup_model = StraightnessSetup
     needs = ("direction",)
     axis_use = "required"
+    along = True
     direct = "um"
     setup: StraightnessSetup
 

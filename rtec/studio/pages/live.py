@@ -113,11 +113,7 @@ class _LivePage:
             Words("p", "This studio only looks: start it with --role operate for the buttons.", "small")
         self._message = Words("p", "", "lead").props('role="status" aria-live="polite"')
         self._make_bars()
-        with ui.element("div").classes("plots"):
-            self._spark("Applied correction, last 10 minutes", link.minutes, temperatures=False)
-            self._spark("Temperatures, last 10 minutes", link.minutes, temperatures=True)
-            self._spark("Applied correction, last 24 hours", link.hours, temperatures=False)
-            self._spark("Temperatures, last 24 hours", link.hours, temperatures=True)
+        self._plots = Area(self._make_plots)
         self._tables = Area(self._make_tables)
         key = id(self)
         link.look(key, self._changed)
@@ -138,8 +134,10 @@ class _LivePage:
             self._lead.set_text("It is asked again every second.")
             return
         self._lead.set_text(f"{found['machine']}, model {found['model']}, {from_home(found['config'])}")
-        if tuple(found["status"]["applied_um"]) != self._axes:
-            self._session.on_change()  # first answer, or another machine's daemon
+        axes = tuple(found["status"]["applied_um"])  # none before the first row of a daemon
+        if axes != self._axes:
+            if axes:
+                self._session.on_change()  # first answer, or another machine's daemon
             return
         self._offer_resume(waits_for_resume(found["status"]))
         self._move_bars(found)
@@ -191,6 +189,15 @@ class _LivePage:
                 unit = "" if value is None else " µm"
                 words.set_text(f"{um_text(value)}{unit}" if name != "residual" or value is None else f"{value:.2f} µm")
 
+    def _make_plots(self) -> None:
+        link = self._link
+        self._sparks = []
+        with ui.element("div").classes("plots"):
+            self._spark("Applied correction, last 10 minutes", link.minutes, temperatures=False)
+            self._spark("Temperatures, last 10 minutes", link.minutes, temperatures=True)
+            self._spark("Applied correction, last 24 hours", link.hours, temperatures=False)
+            self._spark("Temperatures, last 24 hours", link.hours, temperatures=True)
+
     def _spark(self, title: str, kept: "deque[Moment]", *, temperatures: bool) -> None:
         from rtec.report.daemon import since
         from rtec.studio.parts import figures
@@ -234,7 +241,7 @@ class _LivePage:
     def _append(self) -> None:
         for spark in self._sparks:
             if spark.names != self._names(spark.kept, spark.temperatures) or _begins_anew(spark):
-                self._session.on_change()  # a restarted daemon, maybe with other sensors
+                self._plots.redo()  # a restarted daemon, maybe with other sensors
                 return
             new = [m for m in spark.kept if m.time_s > spark.newest_s]
             if not new:

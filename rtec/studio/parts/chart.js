@@ -176,7 +176,7 @@ export default {
       await this.drawn; // a slow PC draws the plots before it first
       this.$el.dataset.moved = "no";
       this.moved = options; // what a change of the theme draws
-      const target = colours(options, getComputedStyle(document.body)); // its layout is not drawn
+      const target = this.styled(); // its layout is not drawn
       const from = this.$el.data.map((t) => Array.from(t.y ?? []));
       const moving = target.data.map((t, k) => k).filter((k) => from[k]?.length && from[k].length === target.data[k].y.length);
       const end = () => { this.$el.dataset.moved = "yes"; };

@@ -57,7 +57,6 @@ class Studio:
         name = named(name, self._live is not None)
         ui.add_css(STYLE.read_text(encoding="utf-8"))
         ui.add_body_html(f"<script>{TELL_OF_BACK}</script>")
-        dark = ui.dark_mode(None)
         shell = ui.element("div").classes("shell")
         client = ui.context.client
         loading = asyncio.create_task(asyncio.to_thread(_module, name))
@@ -71,7 +70,7 @@ class Studio:
         session = TabSession(self._folder, live=self._live) if tab is None else self._session(tab)
         session.look()
         with shell:
-            _Frame(session, name, dark)
+            _Frame(session, name)
             ui.timer(WARM_UP_S, _warm_up, once=True)
         if first and (tab := await _tab(client)) is not None:
             self._sessions.setdefault(tab, session)
@@ -109,8 +108,8 @@ async def _tab(client: Client) -> str | None:
 class _Frame:
     """Frame of a page: names at the top, progress below them, the list of pages at the side."""
 
-    def __init__(self, session: TabSession, name: str, dark: ui.dark_mode) -> None:
-        self._session, self._name, self._dark = session, name, dark
+    def __init__(self, session: TabSession, name: str) -> None:
+        self._session, self._name = session, name
         self._client = ui.context.client
         with ui.element("header").classes("top"):
             Words("span", "rtec studio", "brand")
@@ -168,7 +167,11 @@ class _Frame:
             self._build()
 
     def _theme(self, event: events.ValueChangeEventArguments[str]) -> None:
-        self._dark.value = {"auto": None, "light": False, "dark": True}[event.value]
+        # Not by `ui.dark_mode`: at each change of a page it sets the theme again, and all styles are computed again.
+        dark, scheme = {"auto": ("'auto'", "light dark"), "light": ("false", "light"), "dark": ("true", "dark")}[
+            event.value
+        ]
+        ui.run_javascript(f"Quasar.Dark.set({dark}); document.documentElement.style.colorScheme = '{scheme}'")
 
     def _build(self) -> None:
         if self._client.is_deleted:

@@ -1,5 +1,6 @@
 """The live page against a real daemon of the simulated machine. Oracle: the daemon's own status over its socket."""
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -90,14 +91,14 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
     page.locator(".state.off", has_text="no answer").wait_for()
     text = config.read_text(encoding="utf-8").replace("counts_max_age_s = 5.0", "counts_max_age_s = 0.000001")
     config.write_text(text, encoding="utf-8")
+    page.get_by_role("button", name="Enable", exact=True).click()
+    page.get_by_role("alertdialog").wait_for()
     with running_daemon(config):
         page.locator(".state.held").wait_for()
-        page.wait_for_timeout(3000)  # the page begins again with the daemon's time, and its questions with it
-        page.get_by_role("button", name="Enable", exact=True).click()
+        page.wait_for_function(GAP)  # the plots were drawn again; the question is still asked
         page.get_by_role("alertdialog").get_by_role("button", name="Enable", exact=True).click()
         page.get_by_text("counts are stale").first.wait_for()
         page.get_by_role("cell", name="new tool <b>4</b>", exact=True).wait_for()  # of the run before
-        page.wait_for_function(GAP)
     assert watched.complaints == []
 
 
@@ -116,6 +117,24 @@ def _reported(page: "Page", config: Path) -> None:
     assert "<script" not in html
     page.get_by_role("link", name="Live").click()
     page.locator(".state.held").wait_for()
+
+
+def test_an_answer_of_the_daemon_costs_the_styles_of_what_it_changes(
+    browser: "Browser", config: Path, tmp_path: Path
+) -> None:
+    """Oracle: how many elements' styles the browser computes again, by its own trace; at each answer it was all."""
+    with running_daemon(config), running_studio(tmp_path, "--attach", str(config)) as studio:
+        page = tab(browser, studio.address).page
+        page.wait_for_function("[...document.querySelectorAll('.chart')].filter((c) => c.dataset.drawn).length === 4")
+        elements = page.evaluate("document.querySelectorAll('*').length")
+        bars = "[...document.querySelectorAll('.fill')].map((e) => e.style.cssText).join()"
+        browser.start_tracing(page=page, categories=["devtools.timeline"])
+        for _ in range(5):
+            page.wait_for_function(f"(before) => {bars} !== before", arg=page.evaluate(bars))
+        events = json.loads(browser.stop_tracing())["traceEvents"]
+    computed = [e["args"]["elementCount"] for e in events if e["name"] == "UpdateLayoutTree" and "dur" in e]
+    assert len(computed) >= 5
+    assert sum(n > elements / 2 for n in computed) <= 1  # the tables and plots, if they are drawn again meanwhile
 
 
 def test_without_the_role_there_are_no_buttons(browser: "Browser", config: Path, tmp_path: Path) -> None:

@@ -30,10 +30,13 @@ MUTED = """() => {
   const emit = window.socket.emit;
   window.unmute = () => { window.socket.emit = emit; };
   window.acts = 0;
-  window.socket.emit = () => { window.acts += 1; };
+  window.socket.emit = function (kind, ...rest) {
+    if (kind !== "event") return emit.call(this, kind, ...rest);
+    window.acts += 1;
+  };
   window.addEventListener("click", () => { window.acts += 1; }, true);
 }"""
-"""What a control would tell the server is counted and not sent."""
+"""What a control would tell the server is counted and not sent; the connection lives on, or the page loads again."""
 TOLD = """() => {
   const e = document.activeElement;
   return [window.acts, e.getAttribute("aria-expanded"), e.value].join();
@@ -94,6 +97,24 @@ def test_every_text_has_contrast(shown: "Page", theme: Any) -> None:
     shown.emulate_media(color_scheme=theme)
     shown.wait_for_function("dark => document.body.classList.contains('body--dark') === dark", arg=theme == "dark")
     assert faults(shown, CONTRAST) == []
+
+
+def test_the_theme_is_chosen_at_the_top(whole: Watched) -> None:
+    """Oracle: the class that the styles go by, and the browser's own scheme of the page, for its bars and fields."""
+    page = whole.page
+    page.emulate_media(color_scheme="light")
+    now = "[document.body.classList.contains('body--dark'), getComputedStyle(document.documentElement).colorScheme]"
+    for theme, found in (("Dark", [True, "dark"]), ("Light", [False, "light"])):
+        page.get_by_role("combobox", name="Theme").click()
+        page.get_by_role("option", name=theme, exact=True).click()
+        page.wait_for_function(f"(found) => ({now}).join() === found.join()", arg=found)
+    page.get_by_role("combobox", name="Theme").click()
+    page.get_by_role("option", name="Theme: as the system").click()
+    page.wait_for_function(f"({now})[1] === 'light dark'")
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_function(f"({now})[0]")
+    page.emulate_media(color_scheme="light")
+    page.wait_for_function(f"!({now})[0]")
 
 
 def test_it_fits_a_tablet_and_screens(shown: "Page") -> None:
