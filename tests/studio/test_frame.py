@@ -30,7 +30,7 @@ def session(tmp_path: Path) -> Iterator[TabSession]:
     client = Client(ui.page("/"))
     made = TabSession(Folder(tmp_path))
     with client:
-        _Frame(made, "import", ui.dark_mode(None))
+        _Frame(made, "import")
         yield made
     client.delete()
 
