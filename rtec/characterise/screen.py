@@ -216,16 +216,21 @@ def _second_names(
     Such as of an axis that a laser reads at one lever arm while it warms up, and a ball bar at many arms at one
     temperature. A constant angle takes the difference at that temperature.
     """
-    pairs = [(angle, shift) for angle in angles for shift in shifts if _twin(angle) == _twin(shift)]
-    n = len(pairs)
-    if not n:
+    alike: dict[tuple[str, ...], list[int]] = {}
+    for i, shift in enumerate(shifts, len(angles)):
+        alike.setdefault(_twin(shift), []).append(i)
+    pairs = np.array([(i, j) for i, angle in enumerate(angles) for j in alike.get(_twin(angle), ())])
+    if not len(pairs):
         return set()
-    normal = gather(sources, [c.term for c in (*base, *(a for a, _ in pairs), *(s for _, s in pairs))], by_fold=True)
+    used, at = np.unique(pairs, return_inverse=True)
+    both = [*angles, *shifts]
+    normal = gather(sources, [c.term for c in (*base, *(both[i] for i in used))], by_fold=True)
     known = np.flatnonzero(normal.share_left()[: int(np.searchsorted(normal.owner, len(base)))] > VISIBLE)
-    gram = residual_gram(normal, np.searchsorted(normal.owner, len(base) + np.arange(2 * n)), known)
+    gram = residual_gram(normal, np.searchsorted(normal.owner, len(base) + np.arange(len(used))), known)
+    angle, shift = at.reshape(-1, 2).T
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    apart = 1.0 - (np.diag(gram, n) / size[:n] / size[n:]) ** 2
-    return {angle.label for (angle, _), share in zip(pairs, apart, strict=True) if share < SECOND_NAME}
+    apart = 1.0 - (gram[angle, shift] / size[angle] / size[shift]) ** 2
+    return {both[i].label for i in used[angle[apart < SECOND_NAME]]}
 
 
 def _twin(candidate: TermCandidate) -> tuple[str, ...]:
