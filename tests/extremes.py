@@ -109,6 +109,7 @@ class Kind:
 
 _SETUPS: Final[tuple[tuple[str, str | None, dict[str, Any]], ...]] = (
     ("laser_linear", "X", {"beam_offset_mm": [0.0, 150.0, 80.0], "air_sensor": "T_air", "interferometer_mm": -300.0}),
+    ("laser_diagonal", None, {"direction": [0.4, 0.0, 0.9], "beam_offset_mm": [0.0, 150.0, 80.0]}),
     ("laser_angular", "X", {"about": "B", "sign": 1}),
     ("level", "Z", {"about": "A", "vertical": "Y", "sign": 1}),
     (

@@ -224,13 +224,13 @@ def _second_names(
         return set()
     used, at = np.unique(pairs, return_inverse=True)
     both = [*angles, *shifts]
-    normal = gather(sources, [c.term for c in (*base, *(both[i] for i in used))], by_fold=True)
+    normal = gather(sources, [c.term for c in (*base, *(both[i] for i in used.tolist()))], by_fold=True)
     known = np.flatnonzero(normal.share_left()[: int(np.searchsorted(normal.owner, len(base)))] > VISIBLE)
     gram = residual_gram(normal, np.searchsorted(normal.owner, len(base) + np.arange(len(used))), known)
-    angle, shift = at.reshape(-1, 2).T
+    one, other = at.reshape(-1, 2).T
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    apart = 1.0 - (gram[angle, shift] / size[angle] / size[shift]) ** 2
-    return {both[i].label for i in used[angle[apart < SECOND_NAME]]}
+    apart = 1.0 - (gram[one, other] / size[one] / size[other]) ** 2
+    return {both[i].label for i in used[one[apart < SECOND_NAME]].tolist()}
 
 
 def _twin(candidate: TermCandidate) -> tuple[str, ...]:

@@ -198,7 +198,7 @@ class Squareness(Effect):
         title="Squareness of an axis to another",
         equation="e = α",
         typical="5-50 µrad",
-        seen_by=("ball_bar", "grid_encoder", "squareness", "tool_tip"),
+        seen_by=("ball_bar", "grid_encoder", "laser_diagonal", "squareness", "tool_tip"),
         source="[XT 1], ISO 230-1",
         confusions=(
             Confusion(

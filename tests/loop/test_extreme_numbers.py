@@ -24,7 +24,8 @@ OTHER_PYTHON = "rtec_drivers.linuxcnc.bridge"
 NAMES = (
     "run file", "run file, following_error", "run file, origin_offset", "run file, phase", "machine file", "truth",
     "import map", "campaign", "model", "measurement, laser_linear", "measurement, laser_angular", "measurement, level",
-    "measurement, straightness", "measurement, squareness", "measurement, spindle_drift", "measurement, tool_tip",
+    "measurement, laser_diagonal", "measurement, straightness", "measurement, squareness",
+    "measurement, spindle_drift", "measurement, tool_tip",
     "measurement, work_piece", "measurement, ball_bar", "measurement, grid_encoder", "driver sim", "driver serial_box",
     "driver ascii_lines", "driver ascii_offset", "driver modbus", "driver can", "driver can_encoders", "driver can_box",
     "driver linuxcnc", "driver zmq_link",

@@ -21,6 +21,7 @@ ANGLE = np.linspace(0.0, 350.0, len(X))
 STILL = np.full(len(X), 50.0)
 TABLES: dict[str, tuple[dict[str, np.ndarray], dict[str, str]]] = {
     "laser_linear": ({"X [mm]": X, "Dev [um]": SMALL}, {}),
+    "laser_diagonal": ({"X [mm]": X, "Z [mm]": 200.0 - 2.0 * X, "Dev [um]": SMALL}, {"setup.direction": "[1, 0, -2]"}),
     "laser_angular": ({"X [mm]": X, "Pitch [arcsec]": SMALL}, {"setup.about": "B"}),
     "level": ({"X [mm]": X, "Tilt [um/m]": SMALL}, {"setup.about": "B"}),
     "straightness": ({"X [mm]": X, "Probe [um]": SMALL}, {"setup.direction": "Y"}),
@@ -90,6 +91,22 @@ def test_an_answer_that_does_not_apply_is_told_and_a_wrong_one_refused(tmp_path:
     assert sum("not used: " in c for c in proposal.conclusions) == len(others)
     with pytest.raises(MeasurementError, match=r"'setup\.abuot' is no question here"):
         propose(path, MACHINE, {}, needed | {"setup.abuot": "B"})
+
+
+def test_axes_that_move_together_are_a_diagonal(tmp_path: Path) -> None:
+    """The sign is that of the first way. Oracle: the positions that were written; as a laser along X it is refused."""
+    path = written(tmp_path, "laser_diagonal")
+    p = propose(path, MACHINE, {}, {})
+    assert {q.key: q.default for q in p.questions if q.key in ("instrument", "setup.direction")} == {
+        "instrument": "laser_diagonal",
+        "setup.direction": str([round(1 / 5**0.5, 4), 0.0, round(-2 / 5**0.5, 4)]),
+    }
+    wrong = propose(path, MACHINE, {}, {"instrument": "laser_linear", "axis": "X"})
+    with pytest.raises(MeasurementError, match=r"X and Z move together: instrument = \"laser_diagonal\" reads along"):
+        import_to_files(path, wrong.import_map(), tmp_path / "out.csv", MACHINE)
+    other = propose(path, MACHINE, {}, {"instrument": "laser_diagonal", "setup.direction": "[1, 0, 2]"})
+    with pytest.raises(MeasurementError, match=r"but the axes move along \[0\.4472, 0\.0, -0\.8944\]"):
+        import_to_files(path, other.import_map(), tmp_path / "out.csv", MACHINE)
 
 
 def test_an_axis_is_told_where_none_is_followed_and_taken_where_it_may_be(tmp_path: Path) -> None:

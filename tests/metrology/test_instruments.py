@@ -15,6 +15,7 @@ from rtec.machine.chain import component_unit
 from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.metrology.instruments.ball_bar import BallBar, circle_channels
 from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.laser import LaserDiagonal
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.metrology.measurement import Measurement
 from tests.support.instrument_examples import EXAMPLES, Example, frames
@@ -152,6 +153,9 @@ def test_written_and_read_again(example: Example, tmp_path: Path) -> None:
     """Saving and loading is the identity: the instrument, its set-up, every number."""
     machine, instrument = example.machine(), example.make()
     pose, rng = poses(machine, 6), np.random.default_rng(3)
+    if isinstance(instrument, LaserDiagonal):  # whose axes move together
+        parts = np.array([instrument.line["XYZ".index(a.direction)] for a in machine.axes])
+        pose = pose[0] + np.arange(6.0)[:, None] * parts
     channels = {a.channel: pose[:, i] for i, a in enumerate(machine.axes)}
     if isinstance(instrument, BallBar):  # whose file may hold nothing beside its circle
         channels = circle_channels(machine, instrument.setup, instrument.setup.sense * np.arange(6.0))
@@ -284,6 +288,10 @@ def test_nuisances_that_the_setup_asks_for() -> None:
         ("laser_linear", {}, "X", "EXY", ["component 'EXY'"]),
         ("laser_linear", {"air_sensor": "T_aer", "interferometer_mm": 0.0}, "X", None, ["'T_aer'", "'T_air'"]),
         ("laser_linear", {"air_sensor": "T_air"}, "X", None, ["belong together"]),
+        ("laser_diagonal", {}, None, None, ["'direction' is missing"]),
+        ("laser_diagonal", {"direction": [0, 0, 1]}, None, None, ["two parts or more"]),
+        ("laser_diagonal", {"direction": [1, 1, 1]}, None, None, ["a part along Y", "no axis of turning-centre"]),
+        ("laser_diagonal", {"direction": [1, 0, 1]}, "X", None, ["follows no axis"]),
         ("laser_angular", {}, "X", None, ["'about' is missing"]),
         ("laser_angular", {"about": "A"}, "X", None, ["roll of axis X"]),
         ("level", {"about": "C"}, None, None, ["about the vertical"]),

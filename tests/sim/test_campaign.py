@@ -181,3 +181,25 @@ def test_a_file_without_a_channel_does_not_stop_the_others() -> None:
     result = characterise([laser, plate], wanted=read_wanted("scale:EYY,guide_lift:EZY", mill()))
     values = {c.name: c.value for c in result.coefficients if c.component == "EZY"}
     assert values["A"] == pytest.approx(4.0, abs=0.4)
+
+
+def test_body_diagonals_tell_what_is_square() -> None:
+    """Oracle: the truth, of which lasers along the axes alone show no squareness [ISO 230-6]."""
+    from rtec.characterise import read_wanted
+
+    true = (
+        "scale,component=EXX,axis=X,k=14",
+        "squareness,component=EC0X,alpha=25",
+        "squareness,component=EB0X,alpha=-15",
+    )
+    ways = ([500, 400, 400], [-500, 400, 400], [500, -400, 400], [500, 400, -400])
+    cold: dict[str, Any] = {"protocol": "cold", "cycles": 2, "effects": true}
+    diagonals = [taken("laser_diagonal", f"diagonal {w}", i, {"direction": w}, **cold) for i, w in enumerate(ways, 20)]
+    along = [taken("laser_linear", f"laser-{a}", i, axis=a, **cold) for i, a in enumerate("XYZ", 30)]
+    wanted = read_wanted("scale:EXX,scale:EYY,scale:EZZ,squareness:EC0X,squareness:EB0X,squareness:EA0Y", mill())
+    found = {
+        (c.effect.split("(")[0], c.component): c for c in characterise([*along, *diagonals], wanted=wanted).coefficients
+    }
+    for name, component, value in (("scale", "EXX", 14.0), ("squareness", "EC0X", 25.0), ("squareness", "EB0X", -15.0)):
+        assert found[name, component].value == pytest.approx(value, abs=max(4.0 * found[name, component].se, 0.05))
+        assert found[name, component].se < 0.5

@@ -110,6 +110,12 @@ def reflector_on_tool(direction: str, offset: tuple[float, float, float]) -> Rea
     return lambda f: [float(f.seen(offset) @ AXES[direction]) * 1e3]
 
 
+def along_diagonal(direction: tuple[float, float, float], offset: tuple[float, float, float]) -> Read:
+    """The interferometer stands on the work piece's side, its beam along a diagonal."""
+    beam = np.array(direction) / np.linalg.norm(direction)
+    return lambda f: [float(f.seen(offset) @ beam) * 1e3]
+
+
 def reflector_on_work(direction: str, offset: tuple[float, float, float]) -> Read:
     """The interferometer sits at the tool; the reflector is where the tool's point ideally is, fixed to the work."""
 
@@ -207,6 +213,13 @@ def _others() -> list[Example]:
     for make in MACHINES:
         out.append(Example("spindle_drift", make, where, {"probe": drift}))
         out.append(Example("tool_tip", make, probes(*((d, BEAM, 1.0) for d in "XYZ")), {"offset_mm": BEAM}))
+        there = {a.direction for a in make().axes}
+        whole = (500.0, 400.0 if "Y" in there else 0.0, 300.0)
+        for way in (whole, (-500.0, 0.0, 300.0)):
+            slant: dict[str, Any] = {"direction": way, "beam_offset_mm": BEAM}
+            out.append(
+                Example("laser_diagonal", make, along_diagonal(way, BEAM), slant, note=f"-{way[0]:g},{way[1]:g}")
+            )
         some = {"directions": ("Z", "X")}
         out.append(Example("tool_tip", make, probes(("Z", TIP, 1.0), ("X", TIP, 1.0)), some, note="-some"))
         both = {"reference_axis": "Z", "probe_offset_mm": SPOT}

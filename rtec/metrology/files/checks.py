@@ -7,10 +7,12 @@ import numpy as np
 
 from rtec.machine import Machine
 from rtec.metrology.contradicted import MOVED_MM, contradicted
+from rtec.metrology.diagonal import diagonal
 from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.table import Bools, Floats, Raw
 from rtec.metrology.files.toml import Leniency
 from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.laser import LaserDiagonal
 from rtec.wording import listed
 
 # Values that loggers write for a broken sensor. They are faults only outside the sensor's own range.
@@ -52,6 +54,9 @@ WARMEST_DEGC = 50.0
 """No machine is warmer than this at every sensor; 68 °F is 20 °C."""
 # Values that measuring programs write for a lost reading; no machine tool has an error of 10 mm or 10 mrad.
 READING_CODES = (9999.0, 9999.9, 99999.0, 99999.9, 999999.0, 9999999.0, -9999.0, -99999.0, -999999.0, -9999999.0)
+
+ALONG = 0.999
+"""Least cosine of the line along which the axes move with that of a diagonal's TOML: 2.6 degrees."""
 
 
 class CheckedRows:
@@ -229,15 +234,31 @@ def check_order(raw: Raw, faults: Faults) -> None:
     )
 
 
-def check_axis(raw: Raw, instrument: Instrument, machine: Machine, faults: Faults) -> None:
-    """Report an axis that never moves in its own measurement while another one does."""
+def check_motion(raw: Raw, instrument: Instrument, machine: Machine, faults: Faults) -> None:
+    """Report axes that move otherwise than the TOML says.
+
+    Of a laser or straightness, the axis never moves while another one does, or several move together; of a laser along
+    a diagonal, they move along another line.
+    """
+    places = np.column_stack([raw.columns.get(f"{a.channel}_mm", np.zeros(len(raw))) for a in machine.axes])
+    line = diagonal(places)
+    together = [0.0, 0.0, 0.0]
+    for axis, part in zip(machine.axes, () if line is None else line.tolist(), strict=line is not None):
+        together["XYZ".index(axis.direction)] += round(part, 4)
+    if isinstance(instrument, LaserDiagonal):
+        if line is None or np.dot(together, instrument.line) < ALONG:
+            so = "do not move together along a line" if line is None else f"move along {together}"
+            faults.whole(f"direction = {list(instrument.setup.direction)} in its TOML, but the axes {so}")
+        return
     if not instrument.along or instrument.axis not in machine.axis_names:
         return
-    spans = {a.name: float(np.ptp(raw.columns.get(f"{a.channel}_mm", np.zeros(1)))) for a in machine.axes}
-    moving = [name for name, span in spans.items() if span > MOVED_MM]
+    moving = [a.name for a, span in zip(machine.axes, np.ptp(places, axis=0), strict=True) if span > MOVED_MM]
     if moving and instrument.axis not in moving:
         said = f'axis = "{instrument.axis}" in its TOML, but {instrument.axis} never moves here and {listed(moving)} '
         faults.whole(f"{said}{'does' if len(moving) == 1 else 'do'}: name the axis along which it reads")
+    elif line is not None:
+        said = f'axis = "{instrument.axis}" in its TOML, but {listed(moving)} move together'
+        faults.whole(f'{said}: instrument = "laser_diagonal" reads along such a line, with direction = {together}')
 
 
 def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:

@@ -21,7 +21,7 @@ from rtec.effects.derived import direction_track, direction_update
 from rtec.errors import MeasurementError
 from rtec.files import whole, write_text
 from rtec.machine import Axis, Machine
-from rtec.metrology.files.checks import CheckedRows, check_axis, check_order, remarks
+from rtec.metrology.files.checks import CheckedRows, check_motion, check_order, remarks
 from rtec.metrology.files.columns import check_columns, on_circle, still_right
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.table import Raw, Text, header_of, look_over, parquet_names, read_csv, read_own, read_parquet
@@ -479,7 +479,7 @@ def _read(
     if {"run", "time_s"} <= set(kept.columns):
         check_order(kept, faults)
     if len(kept):
-        check_axis(kept, instrument, machine, faults)
+        check_motion(kept, instrument, machine, faults)
     for name in instrument.columns():
         if len(kept) and name in kept.columns and np.isnan(kept.columns[name]).all():
             faults.whole(f"column {name!r} has no reading at all")

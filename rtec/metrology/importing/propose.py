@@ -49,6 +49,7 @@ EXAMPLES = {
     "reference_axis": "an axis of the machine",
     "centre_mm": "such as [100, 50, 20]",
     "origin_mm": "such as [100, 50, 20]",
+    "direction": "as in the machine's directions; of a diagonal such as [500, 400, 300]",
 }
 
 
@@ -312,7 +313,7 @@ def propose(
     if kind is not None and kind.axis_use == "optional" and "axis" in answers and "axis" not in measurement:
         measurement["axis"] = answers["axis"]
         asker.keys.append("axis")
-    content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker, roles.bar_mm)
+    content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker, roles)
     if roles.bar_mm is not None:
         guesses = (*guesses, *_less_the_bar(content["column"]["reading_um"], content["setup"], roles.bar_mm, str(path)))
     content["column"] = _of_probes(content["column"], content["setup"])
@@ -542,11 +543,12 @@ def _setup_keys() -> set[str]:
 
 
 def _setup(
-    measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _Answers, bar_mm: float | None
+    measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _Answers, roles: ColumnRoles
 ) -> dict[str, Any]:
     """`[setup]`: the required keys, and the instrument's offset unless a component is named.
 
-    The radius of a ball bar's circle is proposed from the length of the bar, unless the bar leans.
+    The radius of a ball bar's circle is proposed from the length of the bar, unless the bar leans; the direction of a
+    diagonal from the positions.
     """
     instrument = measurement.get("instrument")
     if instrument not in INSTRUMENTS:
@@ -563,8 +565,10 @@ def _setup(
         choices = {str(c): c for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a)}
         default = str(list(info.default)) if offset and not needed else None
         leans = "height_mm" in preset.get("setup", {}) or "setup.height_mm" in asker.answers
-        if name == "radius_mm" and bar_mm is not None and not leans:
-            default = f"{round(bar_mm)}"
+        if name == "radius_mm" and roles.bar_mm is not None and not leans:
+            default = f"{round(roles.bar_mm)}"
+        if name == "direction" and instrument == "laser_diagonal" and roles.line is not None:
+            default = str(roles.line)
         where = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
         text = where if offset and not needed else f"{name} of the {instrument}?"
         answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
+from rtec.metrology.diagonal import diagonal
 from rtec.metrology.importing.words import (
     axis_letter,
     bare_unit,
@@ -106,6 +107,7 @@ class ColumnRoles:
         guesses: further conclusions.
         settled: questions that the file answers itself, with the answer.
         bar_mm: median of the reading where it is the length of a ball bar, else None.
+        line: direction in X, Y and Z in which several axes move together; None where they do not.
     """
 
     def __init__(
@@ -125,6 +127,7 @@ class ColumnRoles:
         self.guesses: list[Guess] = []
         self.settled = {f"unit of {n}": u for n, u in self.units.items()}
         self.bar_mm: float | None = None
+        self.line: list[float] | None = None
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             if "from" in column:
@@ -653,6 +656,13 @@ class ColumnRoles:
         has_reading = any(n.startswith("reading") for n in self.columns)
         if not head.get("instrument"):
             usual = "laser_linear" if has_reading and nominal and not angle else None
+            if (
+                usual
+                and by_axis
+                and (line := diagonal(np.column_stack([self._values(n) for n in by_axis]))) is not None
+            ):
+                usual, parts = "laser_diagonal", dict(zip(by_axis.values(), line.tolist(), strict=True))
+                self.line = [round(parts.get(letter, 0.0), 4) for letter in "XYZ"]
             answer = self.ask("instrument", "Which instrument took the readings?", tuple(INSTRUMENTS), usual)
             if answer:
                 head["instrument"] = answer

@@ -1,4 +1,4 @@
-"""Laser interferometer: linear (retroreflector) and angular (two retroreflectors on an arm).
+"""Laser interferometer: linear and along a diagonal (retroreflector), and angular (two retroreflectors on an arm).
 
 The moving optics are on the tool side, the others on the workpiece side. If they are exchanged, the reading is the
 same, as only their relative motion counts. A retroreflector reads the position of its centre along the beam, whatever
@@ -6,6 +6,9 @@ its own rotation.
 """
 
 from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
 
 from rtec.effects import State
 from rtec.machine import Machine
@@ -15,6 +18,7 @@ from rtec.metrology.instruments.base import (
     Floats,
     InstrumentSetup,
     Ints,
+    Letter,
     Nuisance,
     Scope,
     Sign,
@@ -27,6 +31,8 @@ from rtec.metrology.instruments.base import (
 )
 from rtec.quantities import Millimetres, Vector
 from rtec.tomlfile import nearest
+
+DIRECTIONS: Final[tuple[Letter, ...]] = ("X", "Y", "Z")
 
 
 class LaserLinearSetup(InstrumentSetup):
@@ -93,6 +99,67 @@ class LaserLinear(AffineInstrument):
         if self.axis is None and (sensor is not None or self.setup.slope != "none"):
             out.append("[measurement] key 'axis' is missing; slope and air_sensor need it")
         return out
+
+
+class LaserDiagonalSetup(InstrumentSetup):
+    """`[setup]` of a laser along a diagonal of the machine.
+
+    Attributes:
+        direction: of the beam in the machine's directions X, Y and Z, of any length, such as [500, 400, 300]; the
+            reading counts positive along it.
+        beam_offset_mm: vector from the tool tip to the retroreflector.
+        zero: when the display is zeroed: once, or at the start of every run.
+        slope: whether the fit estimates an unknown slope (cosine error, air index). The sum of the scale errors is then
+            not determined; differences between diagonals still are.
+    """
+
+    direction: Vector
+    beam_offset_mm: Vector = ORIGIN
+    zero: Scope = "setup"
+    slope: Scope = "none"
+
+
+@dataclass(frozen=True)
+class LaserDiagonal(AffineInstrument):
+    """Distance along a line on which several axes move together, µm [ISO 230-6]; positive along the direction."""
+
+    name = "laser_diagonal"
+    title = "Laser interferometer, along a diagonal"
+    setup_model = LaserDiagonalSetup
+    axis_use = "none"
+    setup: LaserDiagonalSetup
+
+    @property
+    def line(self) -> Floats:
+        """The direction of the beam, (3,), with length one."""
+        given = np.array(self.setup.direction)
+        return np.asarray(given / np.linalg.norm(given))
+
+    def columns(self) -> tuple[str, ...]:
+        """One reading."""
+        return ("reading_um",)
+
+    def looks(self, machine: Machine) -> Floats:
+        """The reflector along the beam."""
+        parts = zip(self.line, DIRECTIONS, strict=True)
+        return np.asarray(sum(share * point(machine, d, self.setup.beam_offset_mm) for share, d in parts))[None]
+
+    def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
+        """Zero; slope where the set-up says so."""
+        del run
+        machine, parts = state.machine, dict(zip(DIRECTIONS, self.line, strict=True))
+        along_m = sum(parts[a.direction] * from_middle_m(machine, state, a.name) for a in machine.axes)
+        steep = slope(np.asarray(along_m), 1, self.setup.slope, "um_per_m")
+        return (*zero(len(state), 1, self.setup.zero, "um"), *steep)
+
+    def faults(self, machine: Machine) -> list[str]:
+        """A direction along one axis alone, or with a part along which no axis moves."""
+        parts = {d for d, part in zip(DIRECTIONS, self.setup.direction, strict=True) if part}
+        if still := sorted(parts - {a.direction for a in machine.axes}):
+            return [f"[setup] direction has a part along {still[0]}, and no axis of {machine.name} moves there"]
+        if len(parts) > 1:
+            return []
+        return ["[setup] direction needs two parts or more, such as [500, 400, 300]; laser_linear reads along one axis"]
 
 
 class LaserAngularSetup(InstrumentSetup):

@@ -8,7 +8,7 @@ from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.grid_encoder import GridEncoder
-from rtec.metrology.instruments.laser import LaserAngular, LaserLinear
+from rtec.metrology.instruments.laser import LaserAngular, LaserDiagonal, LaserLinear
 from rtec.metrology.instruments.level import Level
 from rtec.metrology.instruments.spindle_drift import SpindleDrift
 from rtec.metrology.instruments.squareness import SquarenessProbe
@@ -18,6 +18,7 @@ from rtec.tomlfile import nearest, validated
 
 INSTRUMENTS: dict[str, type[Instrument]] = {
     "laser_linear": LaserLinear,
+    "laser_diagonal": LaserDiagonal,
     "laser_angular": LaserAngular,
     "level": Level,
     "straightness": StraightnessProbe,

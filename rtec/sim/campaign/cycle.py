@@ -18,6 +18,7 @@ from rtec.machine.chain import MM_URAD_TO_UM
 from rtec.metrology.instruments.ball_bar import BallBar, axis_along, circle_channels
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
+from rtec.metrology.instruments.laser import LaserDiagonal
 from rtec.sim.campaign.settings import DrivenPath, Settings, Targets
 from rtec.tomlfile import nearest
 
@@ -67,6 +68,8 @@ def make_cycle(machine: Machine, instrument: Instrument, targets: Targets) -> Cy
         both = instrument.name != "work_piece"
     at = _places(machine, targets)
     lines, notes = [], []
+    if isinstance(instrument, LaserDiagonal):
+        lines += _diagonal(machine, instrument.line, targets, both)
     for name in axes:
         positions, note = line(machine.axis(name), targets)
         notes += note
@@ -97,7 +100,7 @@ def travelling_axes(machine: Machine, instrument: Instrument, targets: Targets) 
             if name not in machine.axis_names:
                 raise ConfigError(f"[targets] axes: {name!r} is none of the machine{nearest(name, machine.axis_names)}")
         return targets.axes
-    if instrument.name == "spindle_drift":
+    if instrument.name in ("spindle_drift", "laser_diagonal"):
         return ()
     if instrument.axis is None:
         return machine.axis_names
@@ -168,6 +171,18 @@ def _lines(
         if both:
             out.append((pose[::-1], index, -1.0))
     return out
+
+
+def _diagonal(machine: Machine, line: Floats, targets: Targets, both: bool) -> list[tuple[Floats, int, float]]:
+    """There and back through the middle of the travels along a line, as far as all axes reach."""
+    parts = np.array([line["XYZ".index(a.direction)] for a in machine.axes])
+    middle, half = np.array(
+        [(0.5 * (low + high), 0.5 * (high - low)) for low, high in (a.travel_mm for a in machine.axes)]
+    ).T
+    reach = (1.0 - 2.0 * MARGIN) * np.min(half[parts != 0.0] / np.abs(parts[parts != 0.0]))
+    count = INTERVALS if targets.step_mm is None else max(math.floor(2.0 * reach / targets.step_mm + 1e-9), 1)
+    pose = middle + np.linspace(-reach, reach, count + 1)[:, None] * parts
+    return [(pose, -1, 0.0), (pose[::-1], -1, 0.0)] if both else [(pose, -1, 0.0)]
 
 
 def directions(pose: Floats, travelling: NDArray[np.int64], way: Floats) -> Floats:

@@ -123,7 +123,13 @@ def _parts(cycles: int) -> tuple[DayPhase, ...]:
     return tuple(out)
 
 
-USUAL = {"spindle_drift": "drift", "work_piece": "parts", "ball_bar": "cold", "grid_encoder": "cold"}
+USUAL = {
+    "spindle_drift": "drift",
+    "work_piece": "parts",
+    "ball_bar": "cold",
+    "grid_encoder": "cold",
+    "laser_diagonal": "cold",
+}
 """Protocol of an instrument, where it is not the warm-up."""
 PRESETS = {"warm_up": _warm_up, "cold": _cold, "drift": _drift, "parts": _parts}
 
