@@ -20,6 +20,7 @@ from rtec.characterise.candidates import (
 )
 from rtec.characterise.choose import TermChoice, choose, completed
 from rtec.characterise.grouping import apart, joined
+from rtec.characterise.odd_scale import REMEDY, OddScale, odd_scale, sized, with_slope
 from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
@@ -68,6 +69,8 @@ SEARCHED = 20_000
 WORSE = 1.01
 """If parameters from the search raise the held-out error by more than this share, those of the choice are used."""
 QUADRATIC = 2
+ODD_SCALES = 3
+"""Most times that the scale of some measurements is left to themselves."""
 PLACES = ("position", "region", "cyclic")
 """Kinds of what depends on positions only."""
 POOR, REFERENCES = 3.0, 4
@@ -106,8 +109,23 @@ def characterise(
         given, doubt = _given(measurements, leave_out_h)
         few = _too_few_circles(given, leave_out_h) if wanted is None else None
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
+        odd: list[Warn] = []
+        while len(odd) < ODD_SCALES and (found := _odd_scale(screened, choice, wanted)) is not None:
+            files = given.readings.measurements
+            own = {i: m for i in found.files if (m := with_slope(files[i])) is not None}
+            if own:
+                given, doubt = _given([own.get(i, m) for i, m in enumerate(files)], leave_out_h)
+                fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
+                if screened is not None and choice is not None:
+                    both = zip(screened.sources, files, strict=True)
+                    before = [replace(s, measurement=replace(s.measurement, instrument=m.instrument)) for s, m in both]
+                    found = sized(found, before, [screened.candidates[i] for i in choice.chosen], screened.candidates)
+            said = f"{found.message(files)}{'; the fit goes by the others' if own else ''}"
+            odd.append(Warn("contradiction", said, REMEDY))
+            if not own:
+                break
         made = assemble(fit, screened, choice, given, name, margin or Margin())
-        first = [few] if few else []
+        first = [*odd, few] if few else odd
         first += [doubt] if doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
         first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
         return replace(made, warnings=(*first, *made.warnings))
@@ -142,6 +160,14 @@ def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tu
     return clean(rest, leave_out_h=leave_out_h).without_ends(), Warn(
         "contradiction", text, f"{found.check}; put right, fit again"
     )
+
+
+def _odd_scale(screened: Screened | None, choice: TermChoice | None, wanted: AskedEffects | None) -> OddScale | None:
+    """Measurements whose scale contradicts that of the others, beside a free choice."""
+    if screened is None or choice is None or wanted is not None:
+        return None
+    candidates = screened.candidates
+    return odd_scale(screened.sources, [candidates[i] for i in choice.chosen], candidates)
 
 
 def _too_few_circles(given: Clean, leave_out_h: float | None) -> Warn | None:

@@ -118,7 +118,7 @@ def screen(
         hot = [c for c in warm if c.component == component.name]
         hot += [c for c in others if c.component == component.name and c not in hot]
         if hot:
-            base = [c for c in shapes if _simple(c)]
+            base = [c for c in shapes if simple(c)]
             base += [c for c in known if c.feature and c.component != component.name]
             found = _correlate([s for s in whole if reads(s, component.name)], base, hot)
             best = _best(found, budget) | {i for i, c in enumerate(found) if c.candidate in known}
@@ -135,7 +135,7 @@ def screen(
         arms = lever_arms([s.measurement for s in few])
         behind = {s.name for s in seen if behind_arm(s.name, shown, arms)}
         shifts = [c for c in warm if c.component in shown and not _turns(c)]
-        twins = _second_names(whole, [c for c in shapes if _simple(c)], [c for c in kept if _turns(c)], shifts)
+        twins = _second_names(whole, [c for c in shapes if simple(c)], [c for c in kept if _turns(c)], shifts)
         candidates = [replace(c, offered=False) if c.component in behind or c.label in twins else c for c in candidates]
     return Screened(tuple(few), tuple(seen), tuple(candidates), tuple(table), tuple(unused))
 
@@ -163,7 +163,8 @@ def _asked_components(
     return out
 
 
-def _simple(candidate: TermCandidate) -> bool:
+def simple(candidate: TermCandidate) -> bool:
+    """Whether it is a shape up to the quadratic one, or a reversal."""
     degrees = getattr(candidate.term.effect, "degrees", (0,))
     return candidate.offered and candidate.kind in ("position", "direction") and max(degrees) <= BASE_DEGREE
 

@@ -35,6 +35,7 @@ class GridEncoderSetup(InstrumentSetup):
         offset_mm: vector from the tool tip to the reading point of the head.
         zero: zero of both readings; once, or in every run.
         alignment: rotation of the plate in its plane; once, or in every run.
+        slope: whether the fit estimates the plate's own scale (its temperature); the machine's is then not determined.
         accuracy_um: the plate's own error, plus or minus, over its range; it is part of every stated uncertainty.
         plate: name or number of the plate. Between two set-ups with the same part of the same plate in the same
             orientation, its own error cancels. Empty: not known.
@@ -45,6 +46,7 @@ class GridEncoderSetup(InstrumentSetup):
     offset_mm: Vector = ORIGIN
     zero: Scope = "setup"
     alignment: Scope = "setup"
+    slope: Scope = "none"
     accuracy_um: MicrometresNotNegative = 0.0
     plate: str = ""
 
@@ -91,6 +93,10 @@ class GridEncoder(AffineInstrument):
             turned = -np.cross(normal, arm_m).T[rows]
             if turned.any():
                 out.append(Nuisance("alignment", "urad", turned, self.setup.alignment))
+        if self.setup.slope != "none":
+            rows = ["XYZ".index(d) for d in self.setup.letters]
+            longer = (self._place_mm(state) - np.asarray(self.setup.origin_mm)).T[rows] * 1e-3
+            out.append(Nuisance("slope", "um_per_m", longer, self.setup.slope))
         return tuple(out)
 
     def faults(self, machine: Machine) -> list[str]:
