@@ -313,7 +313,7 @@ def _curves(d: BallBarDiagnosis) -> Iterator[str]:
         plane = next(p for p in get_args(Plane) if set(p) == {own, letters[2]})
         size = CURVE_PER_BEND * bends[like].value
         yield (
-            f"These tests cannot tell the {bends[like].title} from a {n.candidate.title} of {significant(size)} "
+            f"These tests do not separate the {bends[like].title} from a {n.candidate.title} of {significant(size)} "
             f"{UNITS['um_per_m2']}: the ball's place hides the difference. The intervals of the centre offset and the "
             f"perpendicularity of {own} hold both. A circle in plane {plane} shows only the latter again (rtec fit "
             "takes all planes together); a flat circle of another radius about the same ball separates them, too."
