@@ -25,6 +25,7 @@ from rtec.estimation.gram.stream import Term
 from rtec.estimation.judge import Judgement, MeasurementMet
 from rtec.estimation.outliers import Clean
 from rtec.estimation.warmth import recorded_degc
+from rtec.machine import Machine
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
 from rtec.model.model import ErrorCorrelation, number_name
@@ -83,12 +84,25 @@ def _rivals(fit: Estimate, screened: Screened | None, choice: TermChoice | None)
 def _same_readings(
     fit: Estimate, screened: Screened | None, choice: TermChoice | None
 ) -> list[tuple[Term, Term, float]]:
-    """Terms of the fit, each with a confounded one that was not chosen, and how much of it the coefficient contains."""
+    """Terms of the fit, each with a confounded one that was not chosen, and how much of it the coefficient contains.
+
+    Of a term with several coefficients, each is a term of its own.
+    """
     if screened is None or choice is None:
         return []
     every = [c.term for c in screened.candidates]
-    pairs = [(every[i], every[k], share) for i, k, share in choice.confounded if every[i] in fit.terms]
-    return [(mine, other, share) for mine, other, share in pairs if label(mine) != label(other)]
+    machine = fit.sources[0].measurement.machine
+    return [
+        (_alone(every[i], place, machine), every[k], share)
+        for i, place, k, share in choice.confounded
+        if every[i] in fit.terms and label(every[i]) != label(every[k])
+    ]
+
+
+def _alone(term: Term, place: int, machine: Machine) -> Term:
+    """The term with only one of its coefficients."""
+    count = len(term.names(machine))
+    return term if count == 1 else replace(term, only=((term.only or range(count))[place],))
 
 
 def _measurement(source: Source, met: MeasurementMet) -> MeasurementFit:

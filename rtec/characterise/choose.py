@@ -212,17 +212,18 @@ class HeldOutTable:
         speeds = {self._of_speed(i) for i in chosen} - {None}
         return list(itertools.islice((i for i in room if self._of_speed(i) not in speeds), most))
 
-    def confounded(self, chosen: Sequence[int]) -> list[tuple[int, int, float]]:
+    def confounded(self, chosen: Sequence[int]) -> list[tuple[int, int, int, float]]:
         """Plain effects that were not chosen and are confounded with chosen ones.
 
-        Gives for each the index of the chosen candidate, its own index, and its share in the chosen one's coefficient,
-        in units of the chosen one per unit of its own.
+        Gives for each the index of the chosen candidate, the place of its coefficient, the index of the effect, and its
+        share in that coefficient, in units of the chosen one per unit of its own.
         """
         index = self._index(chosen)
         owner, raw = self.normal.owner[index], self.normal.raw
+        places = [int((owner[:n] == i).sum()) for n, i in enumerate(owner)]
         alone, _, _ = residual_parts(self.normal, np.zeros(0, dtype=np.int64))
         beside, _, _ = residual_parts(self.normal, index)
-        out: list[tuple[int, int, float]] = []
+        out: list[tuple[int, int, int, float]] = []
         for k, own in enumerate(self.columns):
             j = int(own[0])
             shown = len(own) == 1 and alone[j] > VISIBLE * raw[j]
@@ -232,8 +233,8 @@ class HeldOutTable:
             size = np.sqrt(np.diag(gram))
             share = np.linalg.lstsq((gram / np.outer(size, size))[:-1, :-1], gram[:-1, -1] / size[:-1] / size[-1])[0]
             out += [
-                (int(i), k, float(a * size[-1] / s))
-                for i, a, s in zip(owner, share, size[:-1], strict=True)
+                (int(i), place, k, float(a * size[-1] / s))
+                for i, place, a, s in zip(owner, places, share, size[:-1], strict=True)
                 if abs(a) > SAME and self._other(int(i), k)
             ]
         return out
@@ -383,7 +384,7 @@ class TermChoice:
     steps: tuple[ChoiceStep, ...]
     held_out: float
     rivals: tuple[UndecidedTerm, ...]
-    confounded: tuple[tuple[int, int, float], ...]
+    confounded: tuple[tuple[int, int, int, float], ...]
 
 
 def choose(

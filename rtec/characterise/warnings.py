@@ -21,7 +21,7 @@ from rtec.estimation.outliers import outlier_words
 from rtec.estimation.unmeasured import unmeasured_motions
 from rtec.estimation.visible import axis_of, moves
 from rtec.estimation.warmth import expands_much
-from rtec.machine import Axis
+from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
 from rtec.wording import counted, significant
@@ -116,7 +116,7 @@ def all_warnings(
     """All warnings, the most important ones first."""
     found = [
         *(Warn("end_targets", ends.message, NEXT) for ends in judged.given.ends),
-        *_confounded(same),
+        *_confounded(same, fit.sources[0].measurement.machine),
         *_over_fitted(fit, judged),
         *_left_over(judged),
         *_uneven(fit),
@@ -136,23 +136,41 @@ def all_warnings(
     return found + [Warn("sensor_unused", text, way) for text, way in unused]
 
 
-def _confounded(same: Sequence[tuple[Term, Term, float]]) -> list[Warn]:
+def _confounded(same: Sequence[tuple[Term, Term, float]], machine: Machine) -> list[Warn]:
     """Terms whose coefficient is that of a sum: a term that was not chosen is confounded with them."""
     out = []
     for mine in dict.fromkeys(label(t) for t, _, _ in same):
-        others = [(label(o), share) for t, o, share in same if label(t) == mine]
-        names = " and ".join(name for name, _ in others)
-        total = mine + "".join(f" {'+' if a > 0 else '-'} {_times(abs(a))}{name}" for name, a in others)
+        rows = [(_number(t, machine), _called(o, machine), share) for t, o, share in same if label(t) == mine]
+        numbers, others = list(dict.fromkeys(n for n, _, _ in rows)), list(dict.fromkeys(o for _, o, _ in rows))
+        one = next(_called(t, machine) for t, _, _ in same if label(t) == mine)
+        sums = [
+            (one if len(numbers) == 1 else number)
+            + "".join(f" {'+' if a > 0 else '-'} {_times(abs(a))}{o}" for n, o, a in rows if n == number)
+            for number in numbers
+        ]
         make = "makes" if len(others) == 1 else "make"
+        its = "its number is that" if len(numbers) == 1 else "its numbers are those"
         out.append(
             Warn(
                 "confounded",
-                f"{mine} is not determined alone: {names} {make} the same readings; its number is that of {total}",
+                f"{mine} is not determined alone: {' and '.join(others)} {make} the same readings; {its} of "
+                f"{', '.join(sums)}",
                 "take a test that separates them (rtec plan names it); correct with this number only where the "
                 "others are zero",
             )
         )
     return out
+
+
+def _number(term: Term, machine: Machine) -> str:
+    """Names of the coefficients of a term."""
+    return ", ".join(term.names(machine))
+
+
+def _called(term: Term, machine: Machine) -> str:
+    """Short name of a term; with its coefficient where the same effect may have several terms."""
+    several = term.only is not None or hasattr(term.effect, "degrees")
+    return f"{label(term)} {_number(term, machine)}" if several else label(term)
 
 
 def _times(factor: float) -> str:

@@ -142,7 +142,7 @@ def _ask_user(proposal: "ImportProposal") -> "ImportProposal":
         question = proposal.questions[0]
         allowed = ", ".join(question.choices) or question.hint
         choices = f" ({allowed})" if allowed else ""
-        given = typer.prompt(f"{question.text}{choices}", default=question.default, err=True)
+        given = typer.prompt(f"{question.words}{choices}", default=question.default, err=True)
         try:
             proposal = proposal.answered({question.key: str(given)})
         except MeasurementError as e:

@@ -1,12 +1,12 @@
 """Report of ball-bar tests: causes, their shares of the circle's error, their uncertainty, and which test to add."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.causes import UNITS, causes, feeds_of
+from rtec.metrology.ball_bar.causes import CURVE_PER_BEND, UNITS, causes, feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import RESIDUAL, BallBarDiagnosis
 from rtec.metrology.ball_bar.fit import FittedValue, OfHeight
@@ -44,7 +44,7 @@ def _rivals(d: BallBarDiagnosis) -> list[str]:
     """Sentences on alternatives that explain the readings nearly as well as a significant cause."""
     out: dict[str, list[str]] = {}
     for n in d.found.left_out:
-        if n.rival:
+        if n.rival and n.candidate.like not in n.twins:
             out.setdefault(_titles(d, n), []).append(n.candidate.title)
     return [
         f"Instead of {found} it may be {' and '.join(other)}: the readings do not decide."
@@ -298,7 +298,26 @@ def _apart(d: BallBarDiagnosis) -> list[str]:
     rank, titles = d.fitted.rank, _all_titles(d)
     out = [f"These tests do not determine: {', '.join(titles[n] for n in rank.never)}."] if rank.never else []
     out += [f"These tests do not separate {' and '.join(titles[n] for n in s)}." for s in rank.confounded]
-    return out + [_height(d, h) for h in d.fitted.heights]
+    return out + [_height(d, h) for h in d.fitted.heights] + [*_curves(d)]
+
+
+def _curves(d: BallBarDiagnosis) -> Iterator[str]:
+    """Sentences on bends in the plane that may be a curved positioning error of the other axis."""
+    letters = d.circles[0].setup.letters
+    bends = {v.name: v for v in d.fitted.values if v.low > 0.0 or v.high < 0.0}
+    for n in d.found.left_out:
+        like = n.candidate.like
+        if like not in n.twins or like not in bends:
+            continue
+        own = letters[n.candidate.axis]
+        plane = next(p for p in get_args(Plane) if set(p) == {own, letters[2]})
+        size = CURVE_PER_BEND * bends[like].value
+        yield (
+            f"These tests do not separate the {bends[like].title} from a {n.candidate.title} of {significant(size)} "
+            f"{UNITS['um_per_m2']}: the ball's place hides the difference. The intervals of the centre offset and the "
+            f"perpendicularity of {own} hold both. A circle in plane {plane} shows only the latter again (rtec fit "
+            "takes all planes together); a flat circle of another radius about the same ball separates them, too."
+        )
 
 
 def _height(d: BallBarDiagnosis, of: OfHeight) -> str:

@@ -357,7 +357,7 @@ def _foreign_sections(view: ImportView, zoom: "Zoom") -> "list[Section]":
     read = f"Read as {p.reader}: {counted(p.rows, 'row')}{'' if p.whole else ' looked at'}."
     out = [Section("The columns, and what they become", [read, *p.notes, *p.conclusions],
                    Table(head, rows, words=tuple(range(6))))]  # fmt: skip
-    asked = [(q.text, q.default or "not answered") for q in p.questions if q.key != "machine"]
+    asked = [(q.words, q.default or "not answered") for q in p.questions if q.key != "machine"]
     answers = [*p.answers.items(), *asked]
     if answers:
         out.append(Section("What the file does not say", [], Table(("question", "answer"), answers, words=(0, 1))))

@@ -1,5 +1,6 @@
 """The diagnosis asserts nothing that the readings cannot show; the oracle is `ball_bar_truth`, exact transforms."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -270,6 +271,65 @@ def test_the_bend_of_a_carriage_that_turns_has_the_other_sign(kind: str, plane: 
     else:
         assert abs(v.value - 0.3) < 3.5 * v.se
         assert "turns" not in v.note
+
+
+# ---- a positioning error that is curved along its axis
+
+
+@pytest.mark.parametrize("dynamic", [True, False])
+@pytest.mark.parametrize(("plane", "curved", "shown"), [("XY", "curve_a", "ZX"), ("XZ", "curve_b", "YZ")])
+def test_one_radius_does_not_tell_a_curved_positioning_error_from_a_bend(
+    plane: str, curved: str, shown: str, dynamic: bool
+) -> None:
+    """Oracle: what was made true, 70 µm/m² and nothing else. cos³ and -cos sin² have the same third harmonic."""
+    m = TrueMachine("tool", plane, {curved: 70.0})
+    own, bent = m.letters["ab".index(curved[-1])], m.letters["ba".index(curved[-1])]
+    d = diagnose(recordings(m, THREE), dynamic=dynamic)
+    assert abs(d.fitted.value(f"yaw_{bent.lower()}").value - 70.0 / 500.0) < 0.01, "the bend that would make it"
+    assert d.fitted.value(f"yaw_{bent.lower()}").with_ == (f"curve_{own.lower()}",)
+    for v in (d.fitted.value(f"{name}_{own.lower()}") for name in ("perpendicularity", "centre")):
+        assert v.low <= 0.0 <= v.high, v.name
+        assert abs(v.value) < 2.0 * v.se, v.name
+    page = ball_bar_page(d, figures=False)
+    assert f"bend {bent} in plane (or curved positioning error of {own})" in page.lead
+    said = " ".join(render(page).split())
+    found = re.search(rf"from a curved positioning error of {own} of (\S+) µm/m²", said)
+    assert found
+    assert float(found[1]) == pytest.approx(70.0, rel=0.05)
+    assert f"A circle in plane {shown} shows only the latter again" in said
+
+
+def test_the_bend_of_a_guide_is_named_with_what_may_be_there_instead() -> None:
+    """Oracle: what was made true, a bend of Y; its size stays, and the interval of a perpendicularity of 0 holds 0."""
+    d = diagnose(recordings(TrueMachine("tool", "XY", {"bend_b": 0.3}), THREE))
+    v, square = d.fitted.value("yaw_y"), d.fitted.value("perpendicularity_x")
+    assert abs(v.value - 0.3) < 3.5 * v.se
+    assert v.low > 0.25
+    assert square.low <= 0.0 <= square.high
+    assert "bend Y in plane (or curved positioning error of X)" in ball_bar_page(d, figures=False).lead
+
+
+def test_a_clean_machine_has_neither() -> None:
+    """Oracle: a perfect machine; no sentence on bends, and a perpendicularity as narrow as that of straight guides."""
+    d = diagnose(recordings(TrueMachine("tool", "XY"), THREE))
+    v = d.fitted.value("perpendicularity_x")
+    assert v.low < 0.0 < v.high
+    assert v.high - v.low < 1.5
+    assert "curved positioning" not in render(ball_bar_page(d, figures=False))
+
+
+@pytest.mark.parametrize("size", [{"curve_a": 70.0}, {"bend_b": 0.3}, {"curve_a": 70.0, "bend_b": 0.2}])
+def test_two_radii_tell_a_curved_positioning_error_from_a_bend(size: dict[str, float]) -> None:
+    """Oracle: what was made true. The centre stays, a curve's first harmonic goes with the square of the radius."""
+    m, bars = TrueMachine("tool", "XY", {**size, "rise_a": 10.0}), (*THREE, Bar(0.0, 100.0, "ccw", 2000.0 / 3.0))
+    d = diagnose(recordings(m, bars))
+    assert {p.candidate.name for p in d.found.beyond.picks} == {n.replace("_a", "_x") for n in size if n == "curve_a"}
+    far = off_se(d, truth_of(m, bars))
+    assert max(far.values()) < 3.5, far
+    if "curve_a" in size:
+        assert d.fitted.value("curve_x").low > 60.0
+    else:
+        assert d.fitted.value("yaw_y").low > 0.2
 
 
 # ---- 9: one measure of what is explained

@@ -1,10 +1,14 @@
 """A free choice says what else makes the readings of what it chose; the oracle is the algebra of a circle."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from rtec.characterise import Characterisation, characterise
+from rtec.characterise.warnings import _confounded
+from rtec.effects import effect_class
+from rtec.estimation.gram.stream import Term
 from tests.characterise.joint_proof import MILL, Truth, laser
 from tests.support.ball_bar_truth import THREE, Bar, TrueMachine, recordings
 from tests.support.joint_truth import measured
@@ -100,3 +104,25 @@ def test_sensors_that_rise_together_leave_the_cause_open() -> None:
     true = Truth(MILL, {"mount_expansion:EYY:sensor=T_column": 1.2, "scale:EYY": 12.0})
     found = characterise([laser(true, "Y", 3, False)])
     assert any(w.code == "undecided" and "mount_expansion(EYY) of" in w.text for w in found.warnings)
+
+
+def test_terms_of_one_effect_are_told_apart() -> None:
+    """Oracle: the texts by hand: a curve by knots and a polynomial; each pair of numbers is named once."""
+
+    def term(name: str, component: str, only: tuple[int, ...] | None = None, **more: Any) -> Term:
+        table = {"effect": name, "component": component, "axis": "Y", **more}
+        return Term(effect_class(name, "test").model_validate(table), only=only)
+
+    bend = [term("polynomial_position", "EYY", degrees=(d,)) for d in (2, 3)]
+    knots = [term("piecewise_position", "EAY", (i,), knots_mm=(0.0, 100.0, 200.0, 300.0)) for i in (2, 3)]
+    (one,) = _confounded([(k, bend[0], share) for k, share in zip(knots, (-1.0, -1.7), strict=True)], MILL)
+    assert one.text == (
+        "piecewise_position(EAY, Y) is not determined alone: polynomial_position(EYY, Y) c2 makes the same readings; "
+        "its numbers are those of at2 - polynomial_position(EYY, Y) c2, at3 - 1.70 · polynomial_position(EYY, Y) c2"
+    )
+    (one,) = _confounded([(term("scale", "EYY"), b, 2.0) for b in bend], MILL)
+    assert one.text == (
+        "scale(EYY, Y) is not determined alone: polynomial_position(EYY, Y) c2 and polynomial_position(EYY, Y) c3 make "
+        "the same readings; its number is that of scale(EYY, Y) + 2.00 · polynomial_position(EYY, Y) c2 + "
+        "2.00 · polynomial_position(EYY, Y) c3"
+    )

@@ -98,6 +98,23 @@ def test_a_sensor_of_the_log_that_the_machine_has_not_is_asked_for(tmp_path: Pat
     np.testing.assert_allclose(done.columns["T_x_nut_degc"], expected(), atol=1e-3)
 
 
+def test_a_question_about_a_cell_of_the_log_names_the_log(tmp_path: Path) -> None:
+    """Oracle: the comma before three digits is in the log only; its columns of sensors are asked about there, too."""
+    file, path = laser(tmp_path), tmp_path / "Temperatur.csv"
+    rows = [f"12.03.2026 08:{m:02d}:00;19,{900 + m};21,50{m % 10}" for m in range(45)]
+    path.write_text("\n".join(["Zeit;Fuehler 3 [°C];Bett [°C]", *rows]), encoding="utf-8")
+    asked = propose(file, MACHINE, {"temperatures": {"file": path.name}}, {"axis": "X"})
+    with pytest.raises(MeasurementError) as caught:
+        asked.import_map()
+    said = str(caught.value).splitlines()
+    assert len(said) == 2
+    assert said[0].startswith(f"{path}: Is the comma in '19,900' the decimal sign")
+    assert said[1].startswith(f"{path}: ")
+    assert "Temperatur.csv: Is the comma" in " ".join(asked.toml().replace("#", "").split())
+    with pytest.raises(MeasurementError, match=r"Temperatur\.csv: decimal: ';' is not possible"):
+        asked.answered({"decimal": ";"})
+
+
 def test_readings_beyond_the_log_have_no_temperature_and_are_counted(tmp_path: Path) -> None:
     """Oracle: the log ends 20 minutes after eight, at 08:19:30; a reading up to one step later has its last value."""
     file = laser(tmp_path)

@@ -53,8 +53,9 @@ class TrueMachine:
         kind: of `SIDES`.
         plane: its letters.
         size: parameters by name; a missing one is zero. `ex ey` µm, table-side ball off the centre; `scale_a scale_b`
-            µm/m; `lean` of a towards b, `rise_a rise_b` of the lines along n, µrad; `play_a play_b` µm; `bend_a bend_b`
-            in the plane, `arch_a arch_b` along n, 1/km, slides that shift along the arc without turning; `turn_b` 1/km,
+            µm/m; `curve_a curve_b` µm/m², positioning errors that grow with the square; `lean` of a towards b, `rise_a
+            rise_b` of the lines along n, µrad; `play_a play_b` µm; `bend_a bend_b` in the plane, `arch_a arch_b` along
+            n, 1/km, slides that shift along the arc without turning; `turn_b` 1/km,
             a carriage that turns with its arc; `roll` µrad/m, of the axis nearer to the workpiece, which carries the
             other; `lag_ms`, of both servo loops; `lead_ms`, time by which a leads b; `side_a side_b` µm, lateral play
             in the plane; `wave_a` µm at 10 mm; `stick_a stick_b` µm with its top `stick_mm` after the reversal.
@@ -177,9 +178,9 @@ def apart_mm(m: TrueMachine, place: Floats, way: Floats, ball: Floats) -> Floats
     along_a = unit[a] + 1e-6 * (m["lean"] * unit[b] + m["rise_a"] * unit[n])
     along_b = unit[b] + 1e-6 * m["rise_b"] * unit[n]
     wave = 1e-3 * m["wave_a"] * np.sin(2 * np.pi * p / 10.0)
-    travel[m.plane[0]] += along_a * (p * (1.0 + 1e-6 * m["scale_a"]) + wave)
+    travel[m.plane[0]] += along_a * (p * (1.0 + 1e-6 * m["scale_a"]) + 1e-9 * m["curve_a"] * p**2 + wave)
     travel[m.plane[0]] += 0.5e-6 * p**2 * (-m["bend_a"] * unit[b] + m["arch_a"] * unit[n]) + side_a * unit[b]
-    travel[m.plane[1]] += along_b * q * (1.0 + 1e-6 * m["scale_b"])
+    travel[m.plane[1]] += along_b * (q * (1.0 + 1e-6 * m["scale_b"]) + 1e-9 * m["curve_b"] * q**2)
     travel[m.plane[1]] += 0.5e-6 * q**2 * (-m["bend_b"] * unit[a] - m["arch_b"] * unit[n]) + side_b * unit[a]
     own, along = (m.plane[0], p) if m.carrier == 0 else (m.plane[1], -q)
     turn[own] += unit["XYZ".index(own)] * 1e-9 * m["roll"] * along
@@ -219,6 +220,7 @@ def truth_of(m: TrueMachine, bars: Sequence[Bar]) -> dict[str, float]:
         f"perpendicularity_{a}": -hand * m["rise_a"], f"perpendicularity_{b}": hand * m["rise_b"],
         "phase": 1e3 * m["lead_ms"] * first if not m["lag_ms"] else float("nan"),
         f"yaw_{a}": m["bend_a"], f"yaw_{b}": m["bend_b"], f"pitch_{a}": m["arch_a"], f"pitch_{b}": m["arch_b"],
+        f"curve_{a}": m["curve_a"], f"curve_{b}": m["curve_b"],
         "twist": m["roll"], f"gain_{a}": 0.5e6 * tau**2, f"gain_{b}": 0.5e6 * tau**2,
         f"play_{a}_{b}": m["side_a"], f"play_{b}_{a}": m["side_b"],
         f"cyclic_{a}_amplitude": m["wave_a"],

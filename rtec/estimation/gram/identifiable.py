@@ -69,7 +69,7 @@ def tellable(normal: Normal, terms: Sequence[Term]) -> list[int]:
 
 def names(terms: Sequence[Term], which: Sequence[int]) -> str:
     """Terms by effect, component and what they depend on, for messages."""
-    return ", ".join(label(terms[i]) for i in which)
+    return ", ".join(dict.fromkeys(label(terms[i]) for i in which))
 
 
 def label(term: Term) -> str:

@@ -4,9 +4,11 @@
 here is an effect of `rtec effects` in the axes of the plane. Its basis functions, the machine's chain and the bar's
 geometry give its columns in any test.
 
+A curved positioning error, `k p²`, is none of motion or drive, but [BB] has no place for it.
+
 Signs: a spike is positive where the axis lags (it sticks; the plot goes outwards). A lateral play is the position of
 the slide when it moves to plus, minus that when it moves to minus. A delay is the time by which the plane's first axis
-leads.
+leads. A curve is positive where the axis goes too far at its plus end and not far enough at its minus end, µm/m².
 """
 
 import itertools
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect
 from rtec.effects.derived import FAR_MM
-from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, Shape, along, axis_of, feeds_of, shape_of
+from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, Shape, along, axis_of, feeds_of, shape_of, square_of
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.wording import significant
 
@@ -55,6 +57,7 @@ class ExtraCause:
         axis: place of its axis in the plane, 0 or 1.
         feed_mm_min: feed of the tests that it is for; 0: all tests.
         wave_mm: length of its wave.
+        like: parameter of [BB] that makes the same readings where the tests do not separate it.
     """
 
     name: str
@@ -68,11 +71,23 @@ class ExtraCause:
     axis: int = 0
     feed_mm_min: float = 0.0
     wave_mm: float = 0.0
+    like: str = ""
 
 
 def candidates(circles: Sequence[CircleTest]) -> tuple[ExtraCause, ...]:
     """Every candidate beyond [BB]'s parameters for tests of one plane."""
-    return (*_servo(circles), *_both(circles), *_change_over(circles))
+    return (*_servo(circles), *_both(circles), *_change_over(circles), *_curves(circles))
+
+
+def _curves(circles: Sequence[CircleTest]) -> Iterator[ExtraCause]:
+    """Positioning error that is curved along its axis: with the centre it may look like a bend of the other axis."""
+    for place, letter in enumerate(circles[0].setup.letters[:2]):
+        other = circles[0].setup.letters[1 - place]
+        component = f"E{letter}{axis_of(circles[0], place).name}"
+        cause = Cause(f"curve_{letter}".lower(), f"curved positioning error of {letter}", "um_per_m2",
+                      f"curved positioning {letter}", component, square_of(place, 1e-6))  # fmt: skip
+        yield ExtraCause(cause.name, cause.title, cause.group, "polynomial_position", "plain", _only(cause), axis=place,
+                         like=f"yaw_{other}".lower())  # fmt: skip
 
 
 def _both(circles: Sequence[CircleTest]) -> Iterator[ExtraCause]:

@@ -15,7 +15,7 @@ Symbols: `p`, `q` positions along the plane's first and second letter from that 
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -87,11 +87,17 @@ class Cause:
     prior: float = math.inf
 
 
-def causes(circle: CircleTest, *, bent: bool) -> tuple[Cause, ...]:
+def causes(circle: CircleTest, *, bent: bool, curved: Collection[int] = ()) -> tuple[Cause, ...]:
     """The 10 parameters of [BB]'s linear model, or (`bent`) the 15 of the non-linear one, named for a plane.
 
     The perpendicularity of the first axis contains its own pitch and the roll of the axis that carries it; the
     squareness contains the yaw. [BB] shows that no ball bar separates them.
+
+    Args:
+        circle: a test of the plane.
+        bent: with the guides' bends and the twist.
+        curved: places (0 or 1) of axes of which a curved positioning error takes the place of the other axis' bend in
+            the plane; one unit makes the same third harmonic.
     """
     machine, (a, b, n) = circle.machine, circle.setup.letters
     turns = dict(zip("XYZ", "ABC", strict=True))
@@ -118,18 +124,37 @@ def causes(circle: CircleTest, *, bent: bool) -> tuple[Cause, ...]:
     )  # fmt: skip
     if not bent:
         return plain
-    return (
-        *plain,
+    yaws = [
         Cause(f"yaw_{a}".lower(), f"bend of {a} in the plane (yaw)", "per_km", f"bend {a} in plane",
               f"E{b}{axis[a]}", lambda at: -0.5 * at.p**2 * 1e-3),
         Cause(f"yaw_{b}".lower(), f"bend of {b} in the plane (yaw)", "per_km", f"bend {b} in plane",
               f"E{a}{axis[b]}", lambda at: -0.5 * at.q**2 * 1e-3),
+    ]  # fmt: skip
+    for place, letter in enumerate((a, b)):
+        if place in curved:
+            # cos³ ζ and -cos ζ sin² ζ have the same third harmonic, ¼ cos 3ζ.
+            component = f"E{letter}{axis[letter]}"
+            yaws[1 - place] = replace(
+                yaws[1 - place], component=component, shape=square_of(place, CURVE_PER_BEND * 1e-6)
+            )
+    return (
+        *plain,
+        *yaws,
         Cause(f"pitch_{a}".lower(), f"bend of {a} along {n} (pitch)", "per_km", f"bend {a} out of plane",
               f"E{n}{axis[a]}", lambda at: 0.5 * at.p**2 * 1e-3),
         Cause(f"pitch_{b}".lower(), f"bend of {b} along {n} (pitch)", "per_km", f"bend {b} out of plane",
               f"E{n}{axis[b]}", lambda at: -0.5 * at.q**2 * 1e-3),
         _twist(circle),
     )  # fmt: skip
+
+
+CURVE_PER_BEND = 500.0
+"""Curved positioning error, µm/m², that makes the third harmonic of a bend of 1 1/km of the other axis."""
+
+
+def square_of(place: int, gain: float) -> Shape:
+    """`gain` times the square of the position along the plane's first (0) or second (1) letter."""
+    return lambda at: gain * (at.p, at.q)[place] ** 2
 
 
 def if_it_turns(circle: CircleTest, place: int) -> float:

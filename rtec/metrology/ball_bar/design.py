@@ -5,7 +5,7 @@ have no influence on the readings and which stay confounded. Beside it are the c
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -240,7 +240,12 @@ def stacked_design(of: Sequence[Cause], circles: Sequence[CircleTest]) -> Floats
 
 
 def design_of(
-    circles: Sequence[CircleTest], *, bent: bool, centre: Centre = "shared", more: Sequence[Cause] = ()
+    circles: Sequence[CircleTest],
+    *,
+    bent: bool,
+    centre: Centre = "shared",
+    more: Sequence[Cause] = (),
+    curved: Collection[int] = (),
 ) -> BarDesign:
     """The design with [BB]'s parameters, heights of the ball, and the zero of a bar that was not calibrated.
 
@@ -250,8 +255,9 @@ def design_of(
         centre: "shared": the table-side ball stays in place from test to test, as in [BB]; "each": it does not, and the
             tests then do not separate perpendicularity from its place.
         more: causes beyond [BB]'s; they follow these.
+        curved: see `causes`.
     """
-    of = (*causes(circles[0], bent=bent), *more)
+    of = (*causes(circles[0], bent=bent, curved=curved), *more)
     labels, tips, squares = [], [], []
     rows = np.repeat(np.arange(len(circles)), [len(c) for c in circles])
     for cause in of:
@@ -332,7 +338,7 @@ class NotLookedFor:
         why: the reason, in words.
         twins: names of the causes from which it is not separated; none where it has no influence on the readings.
         parts: sizes of known parameters, by name, that give the same readings as one unit of it.
-        rival: it was tested, and explains the readings nearly as well as its twins, which were named.
+        rival: it explains the readings as well as its twins, which are named, in their place.
     """
 
     candidate: ExtraCause
@@ -392,9 +398,11 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
         share, left = _beside(basis, seen)
         if share < APART:
             parts = np.linalg.lstsq(known / _sizes(known), seen / _sizes(seen), rcond=None)[0]
-            twins = _twins(np.abs(parts).max(axis=1), names, rank)
+            like = (candidate.like,) if candidate.like else ()
+            twins = like or _twins(np.abs(parts).max(axis=1), names, rank)
             same = dict(zip(names, (parts[:, 0] / _sizes(known)).tolist(), strict=True))
-            left_out.append(NotLookedFor(candidate, f"not separated from {' and '.join(twins)}", twins, same))
+            why = f"not separated from {' and '.join(twins)}"
+            left_out.append(NotLookedFor(candidate, why, twins, same, rival=bool(like)))
         else:
             separated.append(candidate)
             columns.append(own)

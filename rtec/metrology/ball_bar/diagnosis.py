@@ -160,8 +160,8 @@ def chosen(
     third, chance = third_harmonic(circles, straight, window_deg)
     if chance < SURE:
         return bent, (
-            f"the residual of the linear model has a third harmonic of {third:.2f} µm, which bent guides cause and "
-            "noise does not"
+            f"the residual of the linear model has a third harmonic of {third:.2f} µm, which bent guides or curved "
+            "positioning errors cause and noise does not"
         )
     better = chance_of(straight, bent)
     if better < SURE:
@@ -434,7 +434,10 @@ def _diagnose(
     still = fit(commanded, bent=False, window_deg=window_deg, centre=centre)
     lag = loop_lag(commanded, still, window_deg, centre) if dynamic else LoopLag(commanded, 0.0, 0.0)
     circles = lag.circles
-    found = search(circles, still, window_deg, centre, lag.unsure_s) if dynamic else CausesFound()
+    if dynamic:
+        found = search(circles, still, window_deg, centre, lag.unsure_s)
+    else:
+        found = CausesFound(left_out=tuple(x for x in table_of(circles, centre).left_out if x.candidate.like))
     fitted, reason = chosen(circles, model, window_deg, centre, found.beyond)
     changed: tuple[Shift, ...] = ()
     if not phase.decided:
@@ -451,6 +454,13 @@ def _diagnose(
         changed, fitted = shifts(angle, time), either(fitted, other)
     for instead in found.instead:
         fitted = either(fitted, chosen(circles, fitted.model, window_deg, centre, instead)[0])
+    curved = tuple(x.candidate.axis for x in found.left_out if x.candidate.like in x.twins)
+    if curved and fitted.model == "non-linear":
+        # What is the same in every reading differs in centre and perpendicularity.
+        other = fit(
+            circles, bent=True, window_deg=window_deg, centre=centre, beyond=replace(found.beyond, curved=curved)
+        )
+        fitted = either(fitted, other)
     fitted = _with_twins(fitted, found)
     bb = chosen(circles, model, window_deg, centre, Beyond())[0] if found.beyond.picks else fitted
     near = sum(int(c.near_quadrant(window_deg).sum()) for c in circles) / sum(len(c) for c in circles)

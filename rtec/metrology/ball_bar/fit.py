@@ -357,6 +357,7 @@ class Beyond:
         beside: causes that are not separated from a pick; without them the pick is not determined.
         dropped: tested causes that are not significant: each alone, and each pair that hide each other, as both may be
             present where neither is significant.
+        curved: see `causes`.
     """
 
     picks: tuple[Pick, ...] = ()
@@ -365,6 +366,7 @@ class Beyond:
     late_s: float = 0.0
     beside: tuple[Cause, ...] = ()
     dropped: tuple[tuple[Cause, ...], ...] = ()
+    curved: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -431,7 +433,7 @@ def fit(
     more = [*(c for p in beyond.picks for c in causes_of(p)), *beyond.beside]
     keep = [_used(c, window_deg, beyond) for c in circles]
     used = tuple(c.rows(k) for c, k in zip(circles, keep, strict=True))
-    whole = design_of(circles, bent=bent, centre=centre, more=more)
+    whole = design_of(circles, bent=bent, centre=centre, more=more, curved=beyond.curved)
     near = whole.rows(np.concatenate(keep))
     reading = np.concatenate([c.reading_um for c in used])
     kept = list(near.rank.kept)

@@ -63,6 +63,7 @@ class ImportQuestion:
         choices: possible answers; empty: any text, or TOML for a set-up.
         default: answer that is assumed until another is given; None: it must be answered.
         hint: form of the answer, where there are no choices.
+        source: path of the file that it is about, where that is another one than the imported file.
     """
 
     key: str
@@ -70,6 +71,12 @@ class ImportQuestion:
     choices: tuple[str, ...] = ()
     default: str | None = None
     hint: str = ""
+    source: str = ""
+
+    @property
+    def words(self) -> str:
+        """The text, with the name of another file that it is about."""
+        return f"{Path(self.source).name}: {self.text}" if self.source else self.text
 
 
 @dataclass(frozen=True)
@@ -177,7 +184,7 @@ class ImportProposal:
             MeasurementError: questions are not answered; the message names them and how to answer.
         """
         if self.open:
-            ways = [f"{self.path}: {q.text} Answer: {_way(q)}" for q in self.open]
+            ways = [f"{q.source or self.path}: {q.text} Answer: {_way(q)}" for q in self.open]
             columns = self.content.get("column", {})
             if columns and all(n.endswith("_degc") for n in columns):
                 way = f"import the file of the readings, with --temperatures {self.path.name}"
@@ -220,15 +227,15 @@ class ImportProposal:
             out.append(f"      {c.becomes or 'not used'}{': ' if c.reason else ''}{c.reason}")
         if self.assumed:
             out += ["", "Assumed; say otherwise if not so:"]
-            out += [f"  {q.text} {answer!r}: {_way(q)}" for q, answer in self.assumed]
+            out += [f"  {q.words} {answer!r}: {_way(q)}" for q, answer in self.assumed]
         if self.open:
             out += ["", "Not known yet:"]
-            out += [f"  {q.text} {_way(q)}" for q in self.open]
+            out += [f"  {q.words} {_way(q)}" for q in self.open]
         return out
 
 
 def _assumption(question: ImportQuestion, answer: str) -> str:
-    return f"assumed on import, not known: {question.text} {answer}"
+    return f"assumed on import, not known: {question.words} {answer}"
 
 
 def _wrapped(line: str) -> list[str]:
@@ -467,6 +474,8 @@ class _Answers:
 
     def __init__(self, source: str, answers: Mapping[str, str]) -> None:
         self.source = source
+        self.log = ""
+        """Path of the log of temperatures, while it is read."""
         self.answers = answers
         self.keys: list[str] = []
         self.possible: list[str] = []
@@ -479,7 +488,7 @@ class _Answers:
         """The answer, or the default; None where there is neither."""
         if key.startswith("unit of ") and (strange := unknown_unit(key)):
             text, default = f"{text} {strange!r} is no unit that rtec knows.", None
-        question = ImportQuestion(key, text, choices, default, hint)
+        question = ImportQuestion(key, text, choices, default, hint, self.log)
         if question.key in self.keys:
             return self.answers.get(question.key, question.default)
         self.keys.append(question.key)
@@ -490,9 +499,8 @@ class _Answers:
             return question.default
         same = [c for c in question.choices if _same(key, given, c)]
         if question.choices and not same:
-            raise MeasurementError(
-                f"{self.source}: {question.key}: {given!r} is not possible{nearest(given, question.choices)}"
-            )
+            said = f"{self.log or self.source}: {question.key}: {given!r} is not possible"
+            raise MeasurementError(f"{said}{nearest(given, question.choices)}")
         return same[0] if same else given
 
     def unasked(self, known: Mapping[str, Any], kind: type[Instrument] | None) -> list[Guess]:
@@ -620,12 +628,14 @@ def _temperatures(
     if not isinstance(preset, Mapping) or not isinstance(preset.get("file"), str):
         raise MeasurementError(f"{beside}: [temperatures] file is missing: the path of the log")
     path = beside.parent / preset["file"]
+    asker.log = str(path)
     read = _read(path, dict(preset.get("source", {})), asker)
     table = chosen(read.tables, preset.get("source", {}).get("table"), str(path))
     table, events = _events(table, preset.get("events"), str(path))
     is_log = events is not None or read.name == "json_lines"
     roles = ColumnRoles(table, own.machine, preset, asker.ask, is_log=is_log)
     found = roles.log()
+    asker.log = ""
     if "column" not in found["time"]:
         raise MeasurementError(f"{path}: no column of times; a log of temperatures has one, with the time of day")
     asked = any(q.key.startswith(("sensor of", "unit of")) for q in asker.open)

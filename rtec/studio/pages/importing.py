@@ -160,7 +160,7 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
         with ui.element("div").classes("cards"):
             for q in filter(_is_asked, view.proposal.questions):
                 with ui.element("div").style("display: grid; gap: .3rem"):
-                    Words("p", q.text)
+                    Words("p", q.words)
                     if q.choices:
                         shown = SIGNS if q.key == "sign" else {c: clean(c) for c in q.choices}
                         field: Any = ui.select(shown, value=q.default)
@@ -171,7 +171,7 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
                         field = ui.input(value=typed or "", placeholder=q.hint)
                         for event in ("keydown.enter", "blur"):
                             field.on(event, partial(answer, q.key, field))
-                    label(at_fault(session, f"answer {q.key}", field.props("outlined")), q.text)
+                    label(at_fault(session, f"answer {q.key}", field.props("outlined")), q.words)
                     open_ = q.default is None
                     needed = "must be answered" if open_ else "assumed, unless you say otherwise"
                     Words("p", needed + _how(q), "small trouble" if open_ else "small")
