@@ -259,9 +259,16 @@ class _HeldOutRuns:
         self.parts = [white[r] for r in self.rows]
         self.grams = np.stack([w.T @ w for w in self.parts])
         self.rights = np.stack([w.T @ self.target[r] for w, r in zip(self.parts, self.rows, strict=True)])
+        self.alone: dict[int, tuple[Floats, Floats]] = {}
+        for fold in np.flatnonzero(readings.alone.any(axis=1)).tolist():
+            own = readings.setup[:, readings.alone[fold]]
+            self.alone[fold] = whitener(own)[self.rows[fold]], own[self.rows[fold]]
 
     def errors(self, width: int) -> tuple[Floats, Floats]:
-        """Sums of squares of the whitened errors by fold, (folds,); errors less the unknowns of each run, (m,)."""
+        """Sums of squares of the whitened errors by fold, (folds,); errors less the unknowns of each run, (m,).
+
+        An unknown of the set-up that only one fold has is fitted to it: the others do not predict it.
+        """
         grams, rights = self.grams[:, :width, :width], self.rights[:, :width]
         if len(self.rows) > 1:
             grams, rights = grams.sum(axis=0) - grams, rights.sum(axis=0) - rights
@@ -269,8 +276,12 @@ class _HeldOutRuns:
         lost, left = np.zeros(len(self.rows)), np.empty(len(self.readings))
         for i, (r, part) in enumerate(zip(self.rows, self.parts, strict=True)):
             error = self.target[r] - part[:, :width] @ values[i]
-            lost[i] = float(error @ error)
             left[r] = self.values[r] - self.plain[r, :width] @ values[i]
+            if i in self.alone:
+                white, plain = self.alone[i]
+                own = solve(white, error)
+                error, left[r] = error - white @ own, left[r] - plain @ own
+            lost[i] = float(error @ error)
         return lost, without_nuisance(self.readings, left)
 
 

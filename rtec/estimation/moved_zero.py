@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
+from rtec.metrology.instruments.base import laid
 from rtec.wording import ERROR_UNITS, significant
 
 Floats = NDArray[np.float64]
@@ -269,10 +270,15 @@ def _by_chance(usual: Sequence[float], noise: float) -> float:
 
 
 def _changes(readings: Readings, s: Series) -> _Changes:
-    """Changes from each reading to the next one of another run at the same place, reached from the same side."""
+    """Changes from each reading to the next one of another run at the same place, reached from the same side.
+
+    An artefact that was turned over between two readings lies otherwise, so there is no pair of them.
+    """
     pose, state = readings.poses_mm[s.source][s.row], readings.states[s.source]
     ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
-    place = row_codes(np.stack([*np.round(PER_MM * pose).T, *ways]))
+    m = readings.measurements[s.source]
+    lies = laid(m.instrument.turned(m.run))[s.row]
+    place = row_codes(np.stack([*np.round(PER_MM * pose).T, *ways, lies]))
     order = np.lexsort((s.time_s, s.run, place))
     warm = _warm(readings, s)
     heat = np.concatenate([warm * at[:, None] for at in (np.ones(len(s)), *pose.T)], axis=1)[order]

@@ -107,6 +107,12 @@ class Readings:
         return np.concatenate([s.fold for s in self.series])
 
     @cached_property
+    def alone(self) -> NDArray[np.bool_]:
+        """Which unknowns of the set-up only one of several folds has, (folds, s)."""
+        there = np.array([self.setup[self.fold == f].any(axis=0) for f in np.unique(self.fold)])
+        return np.asarray(there & (there.sum(axis=0) == 1) & (len(there) > 1))
+
+    @cached_property
     def run(self) -> Ints:
         """Run of each reading, with a separate number for each run of each series, (m,)."""
         ends = np.cumsum([0, *(int(s.run[-1]) + 1 for s in self.series)])

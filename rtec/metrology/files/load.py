@@ -438,6 +438,12 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     arms = on_arms(instrument, machine, channels, run, raw.columns)
     notes += [f"no column {written[c]}: taken from its own arm of the square" for c in arms]
     channels |= arms
+    turned = instrument.turned(run)
+    if getattr(instrument.setup, "reversed_runs", ()) and turned.all() == turned.any():
+        which = "all" if turned.any() else "none"
+        notes.append(
+            f"reversed_runs names {which} of the runs: the artefact's own error is not told from the machine's"
+        )
     sides = approached(machine, channels, run, read)
     notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]
     return Measurement(

@@ -17,7 +17,8 @@ There are two measurands, both of the tool relative to the workpiece, in machine
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
@@ -34,6 +35,7 @@ from rtec.tomlfile import Strict, nearest
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 BLOCK = 16384
 """Number of poses in a block of `Instrument.arms_of`."""
 
@@ -128,6 +130,10 @@ class Instrument(ABC):
         """Whether each reading is taken while an axis travels (None: at standstill); the others stay empty."""
         del axis
         return (True,) * len(self.columns())
+
+    def turned(self, run: Ints) -> Bools:
+        """Whether each row was read with the artefact turned over, (n,); `run` is its run number."""
+        return np.zeros(len(run), dtype=np.bool_)
 
     def check(self, machine: Machine, where: str) -> None:
         """Raise MeasurementError where axis, component or set-up do not fit the machine; all faults, one a line."""
@@ -269,9 +275,35 @@ def scaled(machine: Machine, state: State, axis: str) -> Floats:
     return from_middle_m(machine, state, axis) * (2000.0 / (high - low))
 
 
-def flipped(run: Ints, reversed_runs: tuple[int, ...]) -> Floats:
-    """-1 in the runs taken with the artefact reversed, else +1, (n,)."""
-    return np.where(np.isin(run, reversed_runs), -1.0, 1.0)
+def flipped(turned: Bools) -> Floats:
+    """-1 where the artefact was turned over, else +1, (n,)."""
+    return np.where(turned, -1.0, 1.0)
+
+
+def laid(turned: Bools) -> Ints:
+    """How often the artefact had been turned over before each row, (n,)."""
+    return np.cumsum(np.diff(turned, prepend=turned[:1]))
+
+
+def each_laid(nuisances: Sequence[Nuisance], turned: Bools) -> list[Nuisance]:
+    """What a set-up shares, once for each time that the artefact was laid: turned over, it lies otherwise.
+
+    Names are numbered from the second time on.
+    """
+    times = laid(turned)
+    numbers = [(f" {k + 1}" if k else "", times == k) for k in np.unique(times).tolist()]
+    return [
+        replace(n, name=n.name + number, values=n.values * there)
+        for n in nuisances
+        for number, there in (numbers if n.per == "setup" else [("", True)])
+    ]
+
+
+def laid_scope(scope: Scope, turned: Bools, run: Ints) -> Scope:
+    """Scope of what starts again each time that the artefact was laid: "run" where some of these are single runs."""
+    times = laid(turned)
+    single = any(len(np.unique(run[times == k])) == 1 for k in np.unique(times).tolist())
+    return "run" if scope == "setup" and single and times.any() else scope
 
 
 def legendre(u: Floats, degree: int) -> list[Floats]:

@@ -2,7 +2,9 @@
 
 One arm of the square is read while one axis travels, the other arm while the other one does; in rows of one arm the
 cell of the other reading stays empty. The orientation of the square on the table is unknown: the fit estimates a common
-rotation of both arms. A squareness that is known as one number (from a report) is read directly: `component = "EC0Y"`.
+rotation of both arms. A square that is turned over lies otherwise. With the squareness s and the square's own error e,
+both arms together show s + e, then s - e, whatever its rotation each time. A squareness that is known as one number
+(from a report) is read directly: `component = "EC0Y"`.
 """
 
 from dataclasses import dataclass
@@ -14,14 +16,17 @@ from rtec.machine import Machine
 from rtec.metrology.instruments.base import (
     ORIGIN,
     AffineInstrument,
+    Bools,
     Floats,
     InstrumentSetup,
     Ints,
     Nuisance,
     Scope,
     component_itself,
+    each_laid,
     flipped,
     from_middle_m,
+    laid_scope,
     point,
     zero,
 )
@@ -37,8 +42,9 @@ class SquarenessSetup(InstrumentSetup):
         probe_offset_mm: vector from the tool tip to the probe's point of contact.
         reversed_runs: runs with the square turned over about its reference arm; the square's own angular error, then a
             nuisance parameter too, changes sign in them. Without any, the square is taken as exact (correct the
-            readings by its certificate first).
-        zero: zero of each arm; once, or in every run.
+            readings by its certificate first). Each time the square is turned over, it lies otherwise on the table:
+            read both arms each time.
+        zero: zero of each arm; once for each time that the square was laid, or in every run.
     """
 
     reference_axis: str | None = None
@@ -76,13 +82,17 @@ class SquarenessProbe(AffineInstrument):
         directions = [machine.axis(a).direction for a in self.axes()]
         return np.stack([point(machine, d, self.setup.probe_offset_mm) for d in directions])
 
+    def turned(self, run: Ints) -> Bools:
+        """As `reversed_runs` says."""
+        return np.isin(run, self.setup.reversed_runs)
+
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
         """Zero of each arm, rotation of the square, and its own angular error where it was turned over."""
         if self.component is not None:
             return zero(len(state), 1, "none", "urad")
         machine, axes = state.machine, self.axes()
         names = tuple(f"zero {a}" for a in axes)
-        out = list(zero(len(state), 2, self.setup.zero, "um", names))
+        out = list(zero(len(state), 2, laid_scope(self.setup.zero, self.turned(run), run), "um", names))
         lines = [np.eye(3)["XYZ".index(machine.axis(a).direction)] for a in axes]
         along_m = [from_middle_m(machine, state, a) for a in axes]
         # A rotation φ of the square about the normal moves its arms by φ × (along), the reading by the negative.
@@ -93,11 +103,11 @@ class SquarenessProbe(AffineInstrument):
                 -lines[1] @ np.cross(normal, lines[0]) * along_m[0],
             ]
         )
-        out.append(Nuisance("alignment", "urad", turned, "setup"))
+        out = each_laid([*out, Nuisance("alignment", "urad", turned, "setup")], self.turned(run))
         if self.setup.reversed_runs:
             own = np.zeros((2, len(state)))
             row = axes.index(self.setup.reference_axis or "")
-            own[row] = turned[row] * flipped(run, self.setup.reversed_runs)
+            own[row] = turned[row] * flipped(self.turned(run))
             out.append(Nuisance("square", "urad", own, "setup"))
         return tuple(out)
 

@@ -26,6 +26,7 @@ from rtec.metrology.readers import delimited, ecmc_iso230
 from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.units import UNITS
 from rtec.tomlfile import nearest
+from rtec.wording import listed
 
 Floats = NDArray[np.float64]
 Table = dict[str, Floats]
@@ -272,7 +273,8 @@ def drift_of(
 def straightness_of(measurement: Measurement, method: str | None = None) -> StraightnessResult:
     """Straightness by reversal from a measurement of instrument straightness with reversed runs.
 
-    The probe's sign is the same in all runs, so readings are s + a, and s - a with the artefact turned over.
+    The probe's sign is the same in all runs, so readings are s + a, and s - a with the artefact turned over. A run
+    there and back is one pass, the mean of both ways.
 
     Args:
         measurement: the measurement.
@@ -297,9 +299,14 @@ def straightness_of(measurement: Measurement, method: str | None = None) -> Stra
     position = measurement.channels[measurement.machine.axis(axis).channel]
     places = np.unique(position)
     reading = setup.sign * measurement.readings["reading_um"]
-    runs = {
-        int(r): _run(name, int(r), places, position, reading, measurement.run == r) for r in np.unique(measurement.run)
-    }
+    way = np.sign(measurement.state().value(measurement.machine.axis(axis).direction_channel))
+    runs, once = {}, np.zeros(len(places), dtype=np.bool_)
+    for r in np.unique(measurement.run).tolist():
+        rows = (measurement.run == r) & np.isfinite(reading)
+        ways = _ways(np.searchsorted(places, position[rows]), reading[rows], way[rows], len(places))
+        read = np.isfinite(ways).sum(axis=0)
+        runs[r] = np.nansum(ways, axis=0) / np.where(read > 0, read, np.nan)
+        once |= (read == 1) & (read.max() > 1)
     turned = [x for r, x in runs.items() if r in setup.reversed_runs]
     plain = [x for r, x in runs.items() if r not in setup.reversed_runs]
     if len(turned) != len(plain) or not turned:
@@ -310,17 +317,25 @@ def straightness_of(measurement: Measurement, method: str | None = None) -> Stra
         found = artefact(places, np.stack(plain), np.stack(turned))
     except MeasurementError as e:
         raise MeasurementError(f"{name}: {e}") from e
-    return replace(found, name=name, axis=axis, notes={name: measurement.notes})
+    words = found.words
+    if once.any():
+        where = listed([f"{x:g} mm" for x in places[once]])
+        words = (*words, f"Read from one side only, so that half the reversal error stays in: {where}.")
+    return replace(found, name=name, axis=axis, words=words, notes={name: measurement.notes})
 
 
-def _run(name: str, run: int, places: Floats, position: Floats, reading: Floats, rows: NDArray[np.bool_]) -> Floats:
-    at = np.searchsorted(places, position[rows])
-    if len(np.unique(at)) < len(at):
-        twice = places[int(np.argmax(np.bincount(at)))]
-        raise MeasurementError(f"{name}: run {run} reads {twice:g} mm twice; give the way back a run of its own")
-    out = np.full(len(places), np.nan)
-    out[at] = reading[rows]
-    return out
+def _ways(at: NDArray[np.int64], reading: Floats, way: Floats, places: int) -> Floats:
+    """Mean reading of a run at each place, for each direction of motion there, (3, places); NaN where there is none.
+
+    Args:
+        at: number of the place of each reading, (n,).
+        reading: (n,).
+        way: direction of motion, -1, 0 (before the first) or +1, (n,).
+        places: number of places.
+    """
+    cell = at + places * (way.astype(np.int64) + 1)
+    read, total = (np.bincount(cell, w, minlength=3 * places) for w in (None, reading))
+    return np.where(read > 0, total / np.maximum(read, 1), np.nan).reshape(3, places)
 
 
 def read_dat(path: Path, swap: bool = False) -> Visits:
