@@ -138,11 +138,11 @@ def test_the_form_of_a_straightedge_needs_no_key(reversed_runs: tuple[int, ...])
 @pytest.mark.parametrize(("shift_mm", "jitter_mm"), [(0.0, 0.3), (13.0, 0.0), (13.0, 0.3)])
 def test_the_form_is_found_between_targets_that_were_read_one_way_up(shift_mm: float, jitter_mm: float) -> None:
     """Oracle: as above. A form with a value of its own at each target would take the slide with it. A line over 26 mm
-    leaves at most h²/8 times the curvature of the dent, 1.5 µm / (20 mm)²: 0.32 µm."""
+    leaves at most h²/8 times the curvature of the dent, 3 µm / (20 mm)²: 0.63 µm, over 80 of the 474 mm."""
     m = straightedge(BLOCKS, shift_mm=shift_mm, jitter_mm=jitter_mm)
     found = characterise([m], wanted=read_wanted("straightness:EYX", MACHINE))
     values = {c.name: c.value for c in found.coefficients}
-    assert values["c2"] == pytest.approx(3.0, abs=0.35)
+    assert values["c2"] == pytest.approx(3.0, abs=0.2)
 
 
 def test_a_form_that_was_read_one_way_up_is_not_estimated() -> None:
