@@ -469,6 +469,7 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "centre_mm": "[250.0, 200.0, 150.0]",
     "radius_mm": "100.0",
     "setup.feed_mm_min": "1000.0",
+    "laser_diagonal.direction": "[500.0, 400.0, 300.0]",
     "origin_mm": "[250.0, 200.0, 0.0]",
     "reversed_runs": "[3, 4]",
     # drivers

@@ -70,7 +70,7 @@ WORSE = 1.01
 """If parameters from the search raise the held-out error by more than this share, those of the choice are used."""
 QUADRATIC = 2
 ODD_SCALES = 3
-"""Most times that the scale of some measurements is left to themselves."""
+"""Most times that measurements get a scale of their own."""
 PLACES = ("position", "region", "cyclic")
 """Kinds of what depends on positions only."""
 POOR, REFERENCES = 3.0, 4

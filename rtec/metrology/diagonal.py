@@ -7,6 +7,7 @@ Floats = NDArray[np.float64]
 
 STRAIGHT, LEAST = 1e-3, 0.05
 """Largest distance of the places from the line, as a share of its length; least share of an axis that takes part."""
+FARTHEST_MM = 1e9
 
 
 def diagonal(places_mm: Floats) -> Floats | None:
@@ -21,11 +22,15 @@ def diagonal(places_mm: Floats) -> Floats | None:
     known = places_mm[np.isfinite(places_mm).all(axis=1)]
     if len(known) < 3:
         return None
-    _, size, lines = np.linalg.svd(known - known.mean(axis=0), full_matrices=False)
-    if not size[0] > 0.0 or (size[1:].any() and size[1] > STRAIGHT * size[0]):
+    with np.errstate(over="ignore"):
+        known = known - known[0]
+    if not 0.0 < (reach := np.abs(known).max()) < FARTHEST_MM:
         return None
-    way = known - known[0]
-    far = way[np.argmax(np.linalg.norm(way, axis=1))]
+    known = known / reach
+    _, size, lines = np.linalg.svd(known - known.mean(axis=0), full_matrices=False)
+    if len(size) < 2 or size[1] > STRAIGHT * size[0]:
+        return None
+    far = known[np.argmax(np.linalg.norm(known, axis=1))]
     line: Floats = lines[0] * np.sign(lines[0] @ far)
     taking_part = np.abs(line) > LEAST
     return np.where(taking_part, line, 0.0) if taking_part.sum() > 1 else None

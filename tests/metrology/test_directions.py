@@ -184,7 +184,7 @@ def test_a_feed_in_no_known_order_goes_as_the_positions(tmp_path: Path) -> None:
     [
         ("", "", "moves_at_feed = true needs the column feed_mm_min"),
         (",feed_mm_min,vx_mm_s", ",600,3", "but the velocity of X has a column"),
-        (",feed_mm_min,z_mm", ",600,{i}", "here X and Z moved; give the column"),
+        (",feed_mm_min,z_mm", ",600,{i:b}", "here X and Z moved; give the column"),
     ],
 )
 def test_a_feed_that_tells_no_velocity_is_refused(tmp_path: Path, names: str, row: str, said: str) -> None:

@@ -252,7 +252,9 @@ def check_motion(raw: Raw, instrument: Instrument, machine: Machine, faults: Fau
         return
     if not instrument.along or instrument.axis not in machine.axis_names:
         return
-    moving = [a.name for a, span in zip(machine.axes, np.ptp(places, axis=0), strict=True) if span > MOVED_MM]
+    with np.errstate(over="ignore"):  # a span beyond all numbers is infinite
+        spans = np.ptp(places, axis=0).tolist()
+    moving = [a.name for a, span in zip(machine.axes, spans, strict=True) if span > MOVED_MM]
     if moving and instrument.axis not in moving:
         said = f'axis = "{instrument.axis}" in its TOML, but {instrument.axis} never moves here and {listed(moving)} '
         faults.whole(f"{said}{'does' if len(moving) == 1 else 'do'}: name the axis along which it reads")

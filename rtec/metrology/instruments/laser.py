@@ -33,6 +33,8 @@ from rtec.quantities import Millimetres, Vector
 from rtec.tomlfile import nearest
 
 DIRECTIONS: Final[tuple[Letter, ...]] = ("X", "Y", "Z")
+LEAST_PART: Final = 1e-3
+"""Least part of a diagonal along an axis that takes part, of a length of one."""
 
 
 class LaserLinearSetup(InstrumentSetup):
@@ -133,7 +135,7 @@ class LaserDiagonal(AffineInstrument):
     def line(self) -> Floats:
         """The direction of the beam, (3,), with length one."""
         given = np.array(self.setup.direction)
-        return np.asarray(given / np.linalg.norm(given))
+        return np.asarray(given / (np.linalg.norm(given) or 1.0))
 
     def columns(self) -> tuple[str, ...]:
         """One reading."""
@@ -157,6 +159,8 @@ class LaserDiagonal(AffineInstrument):
         parts = {d for d, part in zip(DIRECTIONS, self.setup.direction, strict=True) if part}
         if still := sorted(parts - {a.direction for a in machine.axes}):
             return [f"[setup] direction has a part along {still[0]}, and no axis of {machine.name} moves there"]
+        if min(abs(self.line[["XYZ".index(d) for d in parts]]), default=1.0) < LEAST_PART:
+            return [f"[setup] direction {list(self.setup.direction)}: a part is far smaller than the others; write 0"]
         if len(parts) > 1:
             return []
         return ["[setup] direction needs two parts or more, such as [500, 400, 300]; laser_linear reads along one axis"]
