@@ -45,6 +45,7 @@ MOSTLY = 0.75
 """Share, in squares, of what a refit of all numbers explains that a fault smaller than half of the residual must."""
 MANY_TIMES = 3.0
 """A number of the machine is hardly more than this many times what it was, or less than the inverse."""
+CHANGED = "a number of the model has changed, or the beam of a laser leans, which does as much"
 FEWEST_RUNS, BY_CHANCE = 3, 0.01
 """With fewer runs nothing tells what differs between them from a drift. Share of the records of which only the zeros,
 or slopes, of the runs wander whose runs one number follows as well by chance."""
@@ -69,7 +70,7 @@ def edited_record(judged: Judgement, measured: Floats, predicted: Floats) -> Edi
     near = NEAR_FLOOR * _whole_noise(judged)
     if found.kind in ("wrong_gain", "lost_sensor", "swapped_readings"):
         return found
-    if found.kind in ("wrong_channel", "swapped_sensors") and _new_number_does(judged, found):
+    if found.kind in ("wrong_channel", "swapped_sensors", "moved_origin") and _new_number_does(judged, found):
         return None
     if found.kind == "swapped_sensors" and _other_sensor_does(judged, found):
         return None
@@ -83,6 +84,8 @@ def edited_record(judged: Judgement, measured: Floats, predicted: Floats) -> Edi
         # A refit of the numbers compensates a factor.
         near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     if found.residual <= min(BETTER * judged.residual, near):
+        if found.kind == "moved_origin" and found.fatal and _own_number_does(judged, found.residual):
+            return replace(found, unless=CHANGED)
         drifts = found.residual > NEAR_FLOOR * judged.noise_floor
         by_effect = drifts and found.kind == "swapped_sensors" and _effect_does(judged, found)
         return None if by_effect and not _exchanged_as_in_the_fit(judged, found) else found
@@ -151,10 +154,15 @@ def _like_refit(judged: Judgement, found: Edit) -> bool:
     return before - found.residual**2 > MOSTLY * (before - judged.refitted**2)
 
 
+def _own_number_does(judged: Judgement, residual: float) -> bool:
+    """Whether new numbers of one effect of the model leave about as little as an edit."""
+    own = (_left_by(judged, _columns(judged, f.effect, f.theta)) for f in judged.model.effects)
+    return any(left < AS_GOOD * residual for left in own)
+
+
 def _as_well(judged: Judgement, residual: float) -> bool:
     """Whether new numbers of one effect leave about as little as an edit, or a missing one of one number less."""
-    own = (_left_by(judged, _columns(judged, f.effect, f.theta)) for f in judged.model.effects)
-    if any(left < AS_GOOD * residual for left in own):
+    if _own_number_does(judged, residual):
         return True
     new = (_left_by(judged, _columns(judged, e)) for e in _simple(judged))
     return any(_clearly_less(left, residual, judged.noise_floor) for left in new)
