@@ -77,7 +77,7 @@ def test_a_lag_that_has_gone_is_no_unit_of_the_speed(left: float, seed: int) -> 
 
 @pytest.mark.parametrize(("c2", "c3"), [(20, 5), (30, 1)])
 def test_a_beam_that_leans_is_no_moved_origin(c2: int, c3: int) -> None:
-    """A laser with a cosine error reads 12.5 µm/m less; a curve of the model that moves is nearly, or quite, as steep."""
+    """A laser with a cosine error reads 12.5 µm/m less; a curve that moves is nearly, or quite, as steep."""
     curve = f"polynomial_position,component=EXX,axis=X,degrees=[2,3],c2={c2},c3={c3}"
     known = Model(small_machine(), effects(SCALE, PLAY, curve), name="known")
     m = laser([SCALE.replace("k=15", "k=2.5"), PLAY, curve], 11)
