@@ -181,7 +181,7 @@ def _diagonal(machine: Machine, line: Floats, targets: Targets, both: bool) -> l
     ).T
     reach = (1.0 - 2.0 * MARGIN) * np.min(half[parts != 0.0] / np.abs(parts[parts != 0.0]))
     count = INTERVALS if targets.step_mm is None else max(math.floor(2.0 * reach / targets.step_mm + 1e-9), 1)
-    pose = middle + np.linspace(-reach, reach, count + 1)[:, None] * parts
+    pose = np.round(middle + np.linspace(-reach, reach, count + 1)[:, None] * parts, 3)
     return [(pose, -1, 0.0), (pose[::-1], -1, 0.0)] if both else [(pose, -1, 0.0)]
 
 
