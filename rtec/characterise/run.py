@@ -20,7 +20,7 @@ from rtec.characterise.candidates import (
 )
 from rtec.characterise.choose import TermChoice, choose, completed
 from rtec.characterise.grouping import apart, joined
-from rtec.characterise.odd_scale import REMEDY, OddScale, odd_scale, sized, with_slope
+from rtec.characterise.own_scale import REMEDY, OwnScale, own_scale, with_slope
 from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
@@ -69,7 +69,7 @@ SEARCHED = 20_000
 WORSE = 1.01
 """If parameters from the search raise the held-out error by more than this share, those of the choice are used."""
 QUADRATIC = 2
-ODD_SCALES = 3
+OWN_SCALES = 3
 """Most times that measurements get a scale of their own."""
 PLACES = ("position", "region", "cyclic")
 """Kinds of what depends on positions only."""
@@ -106,27 +106,12 @@ def characterise(
         ModelError: nothing can be fitted, or the readings do not show a named effect.
     """
     with one_blas_thread():
-        given, doubt = _given(measurements, leave_out_h)
+        fitted = _whole_fit(measurements, wanted, leave_out_h, stage)
+        given, fit = fitted.given, fitted.fit
         few = _too_few_circles(given, leave_out_h) if wanted is None else None
-        fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
-        odd: list[Warn] = []
-        while len(odd) < ODD_SCALES and (found := _odd_scale(screened, choice, wanted)) is not None:
-            files = given.readings.measurements
-            own = {i: m for i in found.files if (m := with_slope(files[i])) is not None}
-            if own:
-                given, doubt = _given([own.get(i, m) for i, m in enumerate(files)], leave_out_h)
-                fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
-                if screened is not None and choice is not None:
-                    both = zip(screened.sources, files, strict=True)
-                    before = [replace(s, measurement=replace(s.measurement, instrument=m.instrument)) for s, m in both]
-                    found = sized(found, before, [screened.candidates[i] for i in choice.chosen], screened.candidates)
-            said = f"{found.message(files)}{'; the fit goes by the others' if own else ''}"
-            odd.append(Warn("contradiction", said, REMEDY))
-            if not own:
-                break
-        made = assemble(fit, screened, choice, given, name, margin or Margin())
-        first = [*odd, few] if few else odd
-        first += [doubt] if doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
+        made = assemble(fit, fitted.screened, fitted.choice, given, name, margin or Margin())
+        first = [*fitted.scales, *([few] if few else [])]
+        first += [fitted.doubt] if fitted.doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
         first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
         return replace(made, warnings=(*first, *made.warnings))
 
@@ -142,8 +127,7 @@ def fitted_model(
         MeasurementError, ModelError: as `characterise`.
     """
     with one_blas_thread():
-        given, doubt = _given(measurements, None)
-        return model_of(_fit(given, doubt, wanted, None, None)[0], name, Margin())
+        return model_of(_whole_fit(measurements, wanted, None, None).fit, name, Margin())
 
 
 def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
@@ -162,12 +146,51 @@ def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tu
     )
 
 
-def _odd_scale(screened: Screened | None, choice: TermChoice | None, wanted: AskedEffects | None) -> OddScale | None:
-    """Measurements whose scale contradicts that of the others, beside a free choice."""
-    if screened is None or choice is None or wanted is not None:
-        return None
-    candidates = screened.candidates
-    return odd_scale(screened.sources, [candidates[i] for i in choice.chosen], candidates)
+@dataclass(frozen=True)
+class _WholeFit:
+    """A fit with its readings, the choice before it, and warnings on measurements that contradict the others."""
+
+    given: Clean
+    doubt: Warn | None
+    fit: Estimate
+    screened: Screened | None
+    choice: TermChoice | None
+    scales: tuple[Warn, ...] = ()
+
+
+def _whole_fit(
+    measurements: Sequence[Measurement], wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
+) -> _WholeFit:
+    """Fit; after a free choice again, where measurements get a scale of their own as theirs contradicts the others."""
+    told: list[OwnScale] = []
+    while True:
+        given, doubt = _given(measurements, leave_out_h)
+        fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
+        found, own = None, {}
+        if wanted is None and screened is not None and choice is not None and len(told) < OWN_SCALES:
+            candidates = screened.candidates
+            found = own_scale(screened.sources, [candidates[i] for i in choice.chosen], candidates)
+        if found is not None:
+            told.append(found)
+            files = given.readings.measurements
+            freed = [(files[i].name, with_slope(files[i])) for i in found.files if found.decided]
+            own = {name: m for name, m in freed if m is not None}
+        if not own:
+            break
+        measurements = [own.get(m.name, m) for m in measurements]
+    files = given.readings.measurements
+    return _WholeFit(given, doubt, fit, screened, choice, tuple(_of_own_scale(t, files, fit) for t in told))
+
+
+def _of_own_scale(found: OwnScale, files: Sequence[Measurement], fit: Estimate) -> Warn:
+    """Warn of measurements with another scale; its size is that of the fit where this has it."""
+    slopes = {f"slope of {files[i].name}" for i in found.files}
+    places = [fit.linear.width + k for k, name in enumerate(fit.linear.extra) if name in slopes]
+    if not places:
+        return Warn("contradiction", found.message(files), REMEDY)
+    said = replace(found, um_per_m=float(fit.values[places].mean())).message(files)
+    goes = "the fit goes by the others, and the residual is without that"
+    return Warn("contradiction", f"{said}; {goes}", REMEDY)
 
 
 def _too_few_circles(given: Clean, leave_out_h: float | None) -> Warn | None:

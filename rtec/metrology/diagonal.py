@@ -1,5 +1,7 @@
 """Axes that move together along a line, as along the diagonals of a machine [ISO 230-6]."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,14 +12,15 @@ STRAIGHT, LEAST = 1e-3, 0.05
 FARTHEST_MM = 1e9
 
 
-def diagonal(places_mm: Floats) -> Floats | None:
+def diagonal(places_mm: Floats, directions: Sequence[str]) -> tuple[float, ...] | None:
     """Direction of the line along which several axes move together, from the first place on; else None.
 
     Args:
         places_mm: positions of the axes, (n, axes).
+        directions: "X", "Y" or "Z" of each axis.
 
     Returns:
-        A vector of length one, (axes,).
+        Its parts in X, Y and Z; together they have a length of one.
     """
     known = places_mm[np.isfinite(places_mm).all(axis=1)]
     if len(known) < 3:
@@ -31,6 +34,7 @@ def diagonal(places_mm: Floats) -> Floats | None:
     if len(size) < 2 or size[1] > STRAIGHT * size[0]:
         return None
     far = known[np.argmax(np.linalg.norm(known, axis=1))]
-    line: Floats = lines[0] * np.sign(lines[0] @ far)
-    taking_part = np.abs(line) > LEAST
-    return np.where(taking_part, line, 0.0) if taking_part.sum() > 1 else None
+    line = lines[0] * np.sign(lines[0] @ far) * (np.abs(lines[0]) > LEAST)
+    if np.count_nonzero(line) < 2:
+        return None
+    return tuple(round(float(line[[d == letter for d in directions]].sum()), 4) for letter in "XYZ")

@@ -416,12 +416,16 @@ def test_a_direction_that_contradicts_the_positions_is_told(tmp_path: Path) -> N
 
 def test_an_axis_that_never_moves_in_its_own_measurement_is_refused(tmp_path: Path) -> None:
     """Where nothing moves, as in a warm-up, nothing contradicts the TOML."""
+    toml = '[measurement]\ninstrument = "laser_linear"\naxis = "X"\nmachine = "turning-centre"\n'
+
+    def moved(z_mm: list[float]) -> Path:
+        path = as_parquet(tmp_path, x_mm=[90.0] * 12, z_mm=z_mm)
+        path.with_suffix(".toml").write_text(toml, encoding="utf-8")
+        return path
+
     said = 'axis = "X" in its TOML, but X never moves here and Z does: name the axis along which it reads'
-    assert said in fault(as_parquet(tmp_path, x_mm=[90.0] * 12, z_mm=[10.0 * i for i in range(12)]))
-    assert (
-        load_measurement(as_parquet(tmp_path, x_mm=[90.0] * 12, z_mm=[50.0] * 12), machine()).channels["x"].tolist()
-        == [90.0] * 12
-    )
+    assert said in fault(moved([10.0 * i for i in range(12)]))
+    assert load_measurement(moved([50.0] * 12), machine()).channels["x"].tolist() == [90.0] * 12
 
 
 def test_parquet_takes_integers_and_small_floats(tmp_path: Path) -> None:

@@ -143,9 +143,9 @@ def as_in_the_fit(judged: Judgement, found: Edit) -> bool:
     # One that changes with time would follow a drift.
     machine = judged.model.machine
     places = {c for a in machine.axes for c in a.moving_channels}
-    fixed = [_columns(judged, e) for e in _simple(judged) if set(e.channels(machine)) <= places]
+    fixed = [columns_of(judged, e) for e in simple_effects(judged) if set(e.channels(machine)) <= places]
     own = floor.cleaned(readings, judged.base.columns)
-    return not any(_left_by(judged, np.hstack([own, c])) < FAR_LESS * found.residual for c in fixed)
+    return not any(left_by(judged, np.hstack([own, c])) < FAR_LESS * found.residual for c in fixed)
 
 
 def _like_refit(judged: Judgement, found: Edit) -> bool:
@@ -156,7 +156,7 @@ def _like_refit(judged: Judgement, found: Edit) -> bool:
 
 def _own_number_does(judged: Judgement, residual: float) -> bool:
     """Whether new numbers of one effect of the model leave about as little as an edit."""
-    own = (_left_by(judged, _columns(judged, f.effect, f.theta)) for f in judged.model.effects)
+    own = (left_by(judged, columns_of(judged, f.effect, f.theta)) for f in judged.model.effects)
     return any(left < AS_GOOD * residual for left in own)
 
 
@@ -164,7 +164,7 @@ def _as_well(judged: Judgement, residual: float) -> bool:
     """Whether new numbers of one effect leave about as little as an edit, or a missing one of one number less."""
     if _own_number_does(judged, residual):
         return True
-    new = (_left_by(judged, _columns(judged, e)) for e in _simple(judged))
+    new = (left_by(judged, columns_of(judged, e)) for e in simple_effects(judged))
     return any(_clearly_less(left, residual, judged.noise_floor) for left in new)
 
 
@@ -222,8 +222,8 @@ def _new_number_does(judged: Judgement, found: Edit) -> bool:
     That a number is many times what it was, or has the other sign, is less plain than that a unit is wrong.
     """
     for fitted in judged.model.effects:
-        columns = _columns(judged, fitted.effect, fitted.theta)
-        if AS_GOOD * _left_by(judged, columns) >= found.residual:
+        columns = columns_of(judged, fitted.effect, fitted.theta)
+        if AS_GOOD * left_by(judged, columns) >= found.residual:
             continue
         old = ordered(fitted, judged.readings)
         times = 1.0 + solve(columns, judged.left) / np.where(old == 0.0, math.inf, old)
@@ -255,9 +255,9 @@ def _other_sensor_does(judged: Judgement, found: Edit) -> bool:
         without = judged.left + own
         for name in others:
             by = effect.model_copy(update={"sensor": name})
-            late = [_columns(judged, by, {**fitted.theta, p.name: v}) for p in by.nonlinear(machine) for v in p.grid]
+            late = [columns_of(judged, by, {**fitted.theta, p.name: v}) for p in by.nonlinear(machine) for v in p.grid]
             at_once = by.model_copy(update={"lag": False}) if getattr(by, "lag", False) else by
-            for columns in [_columns(judged, at_once, fitted.theta), *late]:
+            for columns in [columns_of(judged, at_once, fitted.theta), *late]:
                 if judged.pooled(without - columns @ solve(columns, without)) < enough:
                     return True
     return False
@@ -324,8 +324,8 @@ def _effect_does(judged: Judgement, found: Edit) -> bool:
     if _as_well(judged, found.residual):
         return True
     exchanged, own = _refitted(judged, found), floor.cleaned(judged.readings, judged.base.columns)
-    beside = (np.hstack([own, _columns(judged, e)]) for e in _simple(judged))
-    return any(_less_above(_left_by(judged, b), exchanged, judged.noise_floor) for b in beside)
+    beside = (np.hstack([own, columns_of(judged, e)]) for e in simple_effects(judged))
+    return any(_less_above(left_by(judged, b), exchanged, judged.noise_floor) for b in beside)
 
 
 def _refitted(judged: Judgement, found: Edit) -> float:
@@ -357,8 +357,8 @@ def _exchanged_as_in_the_fit(judged: Judgement, found: Edit) -> bool:
         warm = bool(sensors & set(effect.channels(machine)))
         if len(effect.coefficients(machine)) > 1 or (effect.nonlinear(machine) and not warm):
             continue
-        beside = (np.hstack([own, _columns(judged, effect, theta)]) for theta in one.thetas)
-        if any(AS_GOOD * _left_by(judged, b) < exchanged for b in beside):
+        beside = (np.hstack([own, columns_of(judged, effect, theta)]) for theta in one.thetas)
+        if any(AS_GOOD * left_by(judged, b) < exchanged for b in beside):
             return False
     return True
 
@@ -376,19 +376,19 @@ def _delay_does(judged: Judgement, found: Edit) -> bool:
         if not sensors & set(effect.channels(machine)) or len(delays) > 1 or any(p.unit != "s" for p in delays):
             continue
         thetas = [{p.name: v} for p in delays for v in p.grid] or [{}]
-        columns = [_columns(judged, effect, t) for t in thetas]
+        columns = [columns_of(judged, effect, t) for t in thetas]
         beside = [np.hstack([own, *pair]) for pair in itertools.pairwise(columns)] or [np.hstack([own, *columns])]
-        if any(_left_by(judged, b) < ALIKE * found.residual for b in beside):
+        if any(left_by(judged, b) < ALIKE * found.residual for b in beside):
             return True
     return False
 
 
-def _columns(judged: Judgement, effect: Effect, theta: Mapping[str, float] | None = None) -> Floats:
+def columns_of(judged: Judgement, effect: Effect, theta: Mapping[str, float] | None = None) -> Floats:
     """Columns of an effect, less what the instruments cannot know, (m, k)."""
     return floor.cleaned(judged.readings, judged.readings.columns(effect, theta or {}))
 
 
-def _left_by(judged: Judgement, columns: Floats) -> float:
+def left_by(judged: Judgement, columns: Floats) -> float:
     """Residual with columns fitted to it."""
     return judged.pooled(judged.left - columns @ solve(columns, judged.left))
 
@@ -403,7 +403,7 @@ def _less_above(one: float, other: float, noise: float) -> bool:
     return other > REACHED * noise and max(one**2 - noise**2, 0.0) < HALF * (other**2 - noise**2)
 
 
-def _simple(judged: Judgement) -> list[Effect]:
+def simple_effects(judged: Judgement) -> list[Effect]:
     """Effects of the catalogue that have one number, as an edit has."""
     machine = judged.model.machine
     effects = [c.effect for c in library(judged.readings)[0]]

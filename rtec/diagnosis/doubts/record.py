@@ -15,6 +15,7 @@ from rtec.diagnosis.doubts.edited import BETTER, edited_record, moves
 from rtec.diagnosis.doubts.edits import Edit
 from rtec.diagnosis.doubts.implausible import implausible
 from rtec.diagnosis.doubts.not_read import follows
+from rtec.diagnosis.doubts.own_scale import own_scale_of
 from rtec.diagnosis.doubts.rotary import turned_with
 from rtec.effects import State
 from rtec.estimation import floor
@@ -73,6 +74,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     if not found and not turned and not one_factor and (odd := contradiction(judged)) is not None:
         step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}.{'' if odd.turned else f' {ALONE}'}"
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
+    if not found and not turned and not one_factor and (own := own_scale_of(judged)) is not None:
+        found = [own]
     found += turned
     if edited is None or edited.kind != "swapped_readings":  # of two exchanged columns one may be flat
         found += _corrected(judged, measured, predicted)

@@ -102,15 +102,21 @@ class Normal:
         return np.asarray(beside.T @ np.stack(sums) @ beside)
 
     @cached_property
-    def by_part(self) -> "Normal":
-        """Neighbouring blocks of each measurement joined, and those of all measurements in the same order of time.
-
-        Drift that no sensor sees continues from block to block: single blocks would give too small standard errors.
-        """
+    def part(self) -> Ints:
+        """Part of each block, (blocks,): of each measurement `PARTS` parts, in order of time."""
         part = np.zeros(len(self.fold), dtype=np.int64)
         for s in np.unique(self.source):
             mine = np.flatnonzero(self.source == s)
             part[mine] = np.arange(len(mine)) * min(PARTS, len(mine)) // len(mine)
+        return part
+
+    @cached_property
+    def by_part(self) -> "Normal":
+        """Parts joined, those of all measurements in the same order of time.
+
+        Drift that no sensor sees continues from block to block: single blocks would give too small standard errors.
+        """
+        part = self.part
         number, place = np.unique(part, return_inverse=True)
         return replace(
             self,
@@ -138,6 +144,11 @@ class Normal:
     def freedom(self) -> float:
         """Degrees of freedom: readings less all numbers estimated from them."""
         return float(self.readings.sum() - self.lost.sum() - self.width - len(self.extra))
+
+    def only(self, blocks: NDArray[np.bool_]) -> "Normal":
+        """The normal equations of some of the blocks, (blocks,)."""
+        kept = {n: getattr(self, n)[blocks] for n in ("gram", "fold", "source", "readings", "lost")}
+        return replace(self, **kept)
 
     def pick(self, columns: Sequence[int] | Ints) -> "Normal":
         """The normal equations of some of the terms' columns; nuisances stay."""

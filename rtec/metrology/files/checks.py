@@ -238,19 +238,16 @@ def check_motion(raw: Raw, instrument: Instrument, machine: Machine, faults: Fau
     """Report axes that move otherwise than the TOML says.
 
     Of a laser or straightness, the axis never moves while another one does, or several move together; of a laser along
-    a diagonal, they move along another line.
+    a diagonal, they move along another line. Where a component is read directly, somebody has reduced the numbers.
     """
     places = np.column_stack([raw.columns.get(f"{a.channel}_mm", np.zeros(len(raw))) for a in machine.axes])
-    line = diagonal(places)
-    together = [0.0, 0.0, 0.0]
-    for axis, part in zip(machine.axes, () if line is None else line.tolist(), strict=line is not None):
-        together["XYZ".index(axis.direction)] += round(part, 4)
+    line = diagonal(places, [a.direction for a in machine.axes])
     if isinstance(instrument, LaserDiagonal):
-        if line is None or np.dot(together, instrument.line) < ALONG:
-            so = "do not move together along a line" if line is None else f"move along {together}"
+        if line is None or np.dot(line, instrument.line) < ALONG:
+            so = "do not move together along a line" if line is None else f"move along {list(line)}"
             faults.whole(f"direction = {list(instrument.setup.direction)} in its TOML, but the axes {so}")
         return
-    if not instrument.along or instrument.axis not in machine.axis_names:
+    if not instrument.along or instrument.component is not None or instrument.axis not in machine.axis_names:
         return
     with np.errstate(over="ignore"):  # a span beyond all numbers is infinite
         spans = np.ptp(places, axis=0).tolist()
@@ -260,7 +257,7 @@ def check_motion(raw: Raw, instrument: Instrument, machine: Machine, faults: Fau
         faults.whole(f"{said}{'does' if len(moving) == 1 else 'do'}: name the axis along which it reads")
     elif line is not None:
         said = f'axis = "{instrument.axis}" in its TOML, but {listed(moving)} move together'
-        faults.whole(f'{said}: instrument = "laser_diagonal" reads along such a line, with direction = {together}')
+        faults.whole(f'{said}: instrument = "laser_diagonal" reads along such a line, with direction = {list(line)}')
 
 
 def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:

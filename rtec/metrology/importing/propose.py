@@ -576,7 +576,7 @@ def _setup(
         if name == "radius_mm" and roles.bar_mm is not None and not leans:
             default = f"{round(roles.bar_mm)}"
         if name == "direction" and instrument == "laser_diagonal" and roles.line is not None:
-            default = str(roles.line)
+            default = str(list(roles.line))
         where = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
         text = where if offset and not needed else f"{name} of the {instrument}?"
         answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))

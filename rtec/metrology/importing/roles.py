@@ -127,7 +127,7 @@ class ColumnRoles:
         self.guesses: list[Guess] = []
         self.settled = {f"unit of {n}": u for n, u in self.units.items()}
         self.bar_mm: float | None = None
-        self.line: list[float] | None = None
+        self.line: tuple[float, ...] | None = None
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             if "from" in column:
@@ -650,19 +650,20 @@ class ColumnRoles:
                 self._take(name, f"reading_{letter.lower()}_um", why, **given, **({"sign": -1} if sign < 0 else {}))
         return True
 
+    def _direction(self, axis: str) -> str:
+        """Direction of an axis in the machine; its letter where the machine is not known."""
+        return self.machine.axis(axis).direction if self.machine else axis
+
     def _head(self, head: dict[str, Any], by_axis: Mapping[str, str], nominal: Sequence[str]) -> None:
         """Instrument, axis and machine."""
         angle = "reading_urad" in self.columns
         has_reading = any(n.startswith("reading") for n in self.columns)
         if not head.get("instrument"):
             usual = "laser_linear" if has_reading and nominal and not angle else None
-            if (
-                usual
-                and by_axis
-                and (line := diagonal(np.column_stack([self._values(n) for n in by_axis]))) is not None
-            ):
-                usual, parts = "laser_diagonal", dict(zip(by_axis.values(), line.tolist(), strict=True))
-                self.line = [round(parts.get(letter, 0.0), 4) for letter in "XYZ"]
+            if usual and by_axis:
+                places = np.column_stack([self._values(n) for n in by_axis])
+                self.line = diagonal(places, [self._direction(letter) for letter in by_axis.values()])
+                usual = usual if self.line is None else "laser_diagonal"
             answer = self.ask("instrument", "Which instrument took the readings?", tuple(INSTRUMENTS), usual)
             if answer:
                 head["instrument"] = answer

@@ -176,9 +176,8 @@ def _lines(
 def _diagonal(machine: Machine, line: Floats, targets: Targets, both: bool) -> list[tuple[Floats, int, float]]:
     """There and back through the middle of the travels along a line, as far as all axes reach."""
     parts = np.array([line["XYZ".index(a.direction)] for a in machine.axes])
-    middle, half = np.array(
-        [(0.5 * (low + high), 0.5 * (high - low)) for low, high in (a.travel_mm for a in machine.axes)]
-    ).T
+    low, high = np.array([a.travel_mm for a in machine.axes]).T
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
     reach = (1.0 - 2.0 * MARGIN) * np.min(half[parts != 0.0] / np.abs(parts[parts != 0.0]))
     count = INTERVALS if targets.step_mm is None else max(math.floor(2.0 * reach / targets.step_mm + 1e-9), 1)
     pose = np.round(middle + np.linspace(-reach, reach, count + 1)[:, None] * parts, 3)

@@ -105,6 +105,14 @@ async def _tab(client: Client) -> str | None:
     return client.tab_id
 
 
+THEMES: Final = {
+    "auto": ("Theme: as the system", "'auto'", "light dark"),
+    "light": ("Light", "false", "light"),
+    "dark": ("Dark", "true", "dark"),
+}
+"""Words, value for Quasar, and scheme for the browser's own bars and fields."""
+
+
 class _Frame:
     """Frame of a page: names at the top, progress below them, the list of pages at the side."""
 
@@ -114,9 +122,9 @@ class _Frame:
         with ui.element("header").classes("top"):
             Words("span", "rtec studio", "brand")
             self._what = Words("span", "", "what")
-            ui.select(
-                {"auto": "Theme: as the system", "light": "Light", "dark": "Dark"}, value="auto", on_change=self._theme
-            ).props('dense outlined options-dense aria-label="Theme"')
+            ui.select({k: words for k, (words, *_) in THEMES.items()}, value="auto", on_change=self._theme).props(
+                'dense outlined options-dense aria-label="Theme"'
+            )
         self._progress = ui.element("div").classes("progress").props('role="status" aria-live="polite"')
         self._job: Job | None = None
         self._links: dict[str, ui.element] = {}
@@ -168,9 +176,7 @@ class _Frame:
 
     def _theme(self, event: events.ValueChangeEventArguments[str]) -> None:
         # Not by `ui.dark_mode`: at each change of a page it sets the theme again, and all styles are computed again.
-        dark, scheme = {"auto": ("'auto'", "light dark"), "light": ("false", "light"), "dark": ("true", "dark")}[
-            event.value
-        ]
+        _, dark, scheme = THEMES[event.value]
         ui.run_javascript(f"Quasar.Dark.set({dark}); document.documentElement.style.colorScheme = '{scheme}'")
 
     def _build(self) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from rtec.characterise import characterise
+from rtec.diagnosis.compare.compare import compare
 from rtec.metrology.measurement import Measurement
 from tests.sim.test_campaign import XY, taken
 
@@ -40,14 +41,14 @@ def files(cosine: float = 0.0, plate: float = 0.0) -> list[Measurement]:
     ("made", "said"),
     [
         ({}, None),
-        ({"cosine": -12.5}, "laser-y reads 12.5 µm/m less than the other measurements; the fit goes by the others"),
-        ({"plate": 24.0}, "plate-0, plate-1 and plate-2 read 24 µm/m more than the other measurements"),
+        ({"cosine": -12.5}, "laser-y contradicts the other measurements: it reads 12.5 µm/m less"),
+        ({"plate": 24.0}, "plate-0, plate-1 and plate-2 contradict the other measurements: they read 24 µm/m more"),
     ],
     ids=["all right", "cosine", "warm plate"],
 )
 def test_an_odd_scale_is_told_and_left_out(made: dict[str, float], said: str | None) -> None:
     found = characterise(files(**made))
-    told = [w for w in found.warnings if "than the other measurements" in w.text]
+    told = [w for w in found.warnings if "contradict" in w.text]
     scales = {c.component: c.value for c in found.coefficients if c.effect.startswith("scale")}
     assert scales["EXX"] == pytest.approx(14.0, abs=1.0)
     assert scales["EYY"] == pytest.approx(-9.0, abs=1.0)
@@ -60,3 +61,14 @@ def test_an_odd_scale_is_told_and_left_out(made: dict[str, float], said: str | N
     number = float(warning.text.partition(" µm/m")[0].rpartition(" ")[2])
     assert number == pytest.approx(abs(made.get("cosine", made.get("plate", 0.0))), abs=1.0)
     assert "slope" in warning.remedy
+    (doubt,) = [d for d in compare(found.model, files(**made)).doubts if d.fatal]
+    assert doubt.message.startswith(said.partition("12.5")[0].partition("24")[0])  # rtec diagnose says the same
+
+
+def test_where_two_lasers_differ_it_is_open_which_is_wrong() -> None:
+    """Two lasers along Y at other targets; neither is believed, and the number is told."""
+    one = taken("laser_linear", "laser-1", 1, axis="Y", effects=true(14.0, -9.0), **COLD)
+    two = taken("laser_linear", "laser-2", 2, axis="Y", effects=true(14.0, -21.5), targets={"step_mm": 17.3}, **COLD)
+    warning = characterise([one, two]).warnings[0]
+    assert warning.code == "contradiction"
+    assert "the fit goes by the others" not in warning.text
