@@ -86,6 +86,46 @@ def test_names_in_two_lines(tmp_path: Path, groups: str, names: list[str], colum
     check(imported(protocol(tmp_path, header, columns, np.asarray)), WAYS)
 
 
+ONE = [(1, 1), (1, -1)]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["Forward [um]", "Return [um]"],
+        ["Abweichung hin [µm]", "Abweichung zurück [µm]"],
+        ["deviation_fwd_um", "deviation_bwd_um"],
+        ["↑ (um)", "↓ (um)"],
+        ["error_um", "return_um"],
+        ["laser_um", "laser_back_um"],
+    ],
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_one_run_there_and_back_without_a_number(tmp_path: Path, names: list[str], order: int) -> None:
+    header = ["Target [mm];" + ";".join(names[::order])]
+    check(imported(protocol(tmp_path, header, ONE[::order], np.asarray)), ONE)
+
+
+def test_a_limit_above_and_below_is_no_way_there_and_back(tmp_path: Path) -> None:
+    path = protocol(tmp_path, ["Target [mm];Error + [um];Error - [um]"], ONE, np.asarray)
+    assert [q.key for q in propose(path, MACHINE, {}, ANSWERS).open] == ["reading"]
+
+
+def test_where_targets_fall_forward_may_go_either_way(tmp_path: Path) -> None:
+    """From the far end: the way there is negative if "forward" means the first way, positive if it means the sign."""
+    header = ["Target [mm];Forward [um];Return [um]"]
+    path = protocol(tmp_path, header, ONE[::-1], np.asarray)
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *rows[::-1]]))
+    asked = propose(path, MACHINE, {}, ANSWERS).open
+    assert [(q.key, q.choices) for q in asked] == [("forward", ("positive", "negative"))]
+    check(imported(path, forward="negative"), ONE)
+    path = protocol(tmp_path, header, ONE, np.asarray)
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *rows[::-1]]))
+    check(imported(path, forward="positive"), ONE)
+
+
 def test_actual_positions_instead_of_deviations(tmp_path: Path) -> None:
     header = ["Target [mm];" + ";".join(f"Run {r} {'+' if s > 0 else '-'} [mm]" for r, s in WAYS)]
     check(imported(protocol(tmp_path, header, WAYS, lambda e: X + 1e-3 * e)), WAYS)
@@ -142,6 +182,9 @@ def test_what_is_no_run() -> None:
         "Mean +",
         "s -",
         "Run 1 of 5 +",
+        "R",
+        "X -",
+        "T_back",
     ]
     assert [n for n in names if run_and_direction(n) is not None] == []
 

@@ -157,7 +157,7 @@ def runs(
                 f"{source}: line {table.lines[i]}: column {run.column!r}: {values[i]:.10g} is no run number; "
                 "these are integers"
             )
-        return values.astype(np.int64), [f"{len(np.unique(values))} runs by column {run.column!r}"]
+        return values.astype(np.int64), [f"{counted(len(np.unique(values)), 'run')} by column {run.column!r}"]
     begins = np.zeros(len(table), dtype=np.bool_)
     begins[clock.restarts] = True
     if run.direction_of is not None:

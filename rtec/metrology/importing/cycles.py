@@ -16,17 +16,27 @@ from rtec.metrology.units import UNITS
 
 SIGNS = "+-−–↑↓→←"
 FILLERS = (
-    WORDS["run"] | WORDS["deviation"] | WORDS["direction"] | {"messung", "measurement", "nr", "no", "r", *"xyzuvw"}
+    WORDS["run"]
+    | WORDS["deviation"]
+    | WORDS["actual"]
+    | WORDS["direction"]
+    | {"messung", "measurement", "nr", "no", "r", *"xyzuvw"}
 )
+SIGNED = {
+    "pos", "neg", "positive", "negative", "positiv", "negativ", "plus", "minus", "up", "down", "auf", "ab", "inc",
+    "dec", "increasing", "decreasing",
+}  # fmt: skip
+"""Words that tell the sign of the motion, not which way came first."""
 NEAR = 0.1
 """Actual positions differ from the targets by less than this share of the travel."""
 
 
 def run_and_direction(name: str) -> tuple[int, int] | None:
-    """Run and direction of a column such as `Run 1 +`, `↑2`, `Lauf 3 zurück`; None where it is no such column.
+    """Run and direction of a column such as `Run 1 +`, `↑2`, `Forward`; None where it is no such column.
 
     Returns:
-        The run's number, and -1 or +1, or 0 where the name (`Run 1`) does not tell the direction.
+        The run's number, or 0 where the name has none but tells a direction other than by + or -; and -1 or +1, or 0
+        where the name (`Run 1`) does not tell the direction.
     """
     unit = bare_unit(name)
     bare = name[: -len(unit)] if unit else re.sub(r"[\[(][^\])]*[\])]\s*$", "", name) if bracketed(name) else name
@@ -37,8 +47,10 @@ def run_and_direction(name: str) -> tuple[int, int] | None:
     signs = [p for i, p in enumerate(parts) if p in SIGNS and (p in "+↑↓→←" or i in (0, len(parts) - 1))]
     told = [p for p in words if direction_meant(p) and p != "r"] or (["r"] if words == ["r"] else [])
     ways = {direction_meant(p) or 0 for p in signs or told}
-    if len(numbers) != 1 or len(ways) > 1 or any(w not in FILLERS and not direction_meant(w) for w in words):
+    if len(numbers) > 1 or len(ways) > 1 or any(w not in FILLERS and not direction_meant(w) for w in words):
         return None
+    if not numbers:
+        return (0, ways.pop()) if any(len(p) > 1 or p in "↑↓→←" for p in signs or told) else None
     if not ways and not set(words) & (WORDS["run"] | {"messung", "measurement"}):
         return None
     return int(numbers[0]), ways.pop() if ways else 0
@@ -51,6 +63,7 @@ def cycles_of(table: ForeignTable, ask: Any) -> dict[str, Any]:
     if {n for _, n in ways.values()} == {-1} and all(re.match(r"(?i)r\W?\d", n) for n in ways):
         ways = {n: (run, 0) for n, (run, _) in ways.items()}
     place = next((n for n in numbers if n not in ways and _is_target(table, n)), None)
+    ways = _there_and_back(table, ways, [n for n in numbers if n != place])
     if place is None or len(ways) < 2 or len(set(ways.values())) < len(ways) or any(has(n, "time") for n in numbers):
         return {}
     names = sorted(ways, key=lambda n: ways[n][0])
@@ -63,10 +76,35 @@ def cycles_of(table: ForeignTable, ask: Any) -> dict[str, Any]:
         told[1] = {"backward": [], "there and back": names[::2]}.get(answer or "", names)
         told[-1] = {"backward": names, "there and back": names[1::2]}.get(answer or "", [])
     at = table.columns[place].astype(np.float64)
+    if at[0] > at[-1] and any(_tells_order(n) for n in names):
+        first, usual = (told[1][0], "positive") if told[1] else (told[-1][0], "negative")
+        text = f"The targets fall from row to row. In which direction did the axis go in {first!r}?"
+        if ask("forward", text, ("positive", "negative"), None) not in {usual, None}:
+            told[1], told[-1] = told[-1], told[1]
     off = np.stack([table.columns[n].astype(np.float64) - at for n in names])
     is_actual = np.nanmax(np.abs(off), initial=0.0) < NEAR * np.ptp(at)
     out = {"position": place, "forward": told[1], "backward": told[-1]}
     return out | ({"reading": "actual"} if is_actual else {})
+
+
+def _tells_order(name: str) -> bool:
+    """Whether a name says which way was the first, as `there` or `Forward`, and no sign: `+`, `up`, `positive`."""
+    ways = [p for p in re.findall(rf"[^\W\d_]+|[{re.escape(SIGNS)}]", name.lower()) if direction_meant(p)]
+    return bool(ways) and not any(p in SIGNS or p in SIGNED for p in ways)
+
+
+def _there_and_back(
+    table: ForeignTable, ways: dict[str, tuple[int, int]], numbers: Sequence[str]
+) -> dict[str, tuple[int, int]]:
+    """The columns of runs with a number; else the two of one run, of which one may be named as a mere reading."""
+    numbered = {n: way for n, way in ways.items() if way[0]}
+    if numbered:
+        return numbered
+    if [way for _, way in ways.values()] == [-1]:
+        (back,) = ways
+        readings = [n for n in numbers if n != back and (has(n, "deviation") or has(n, "actual"))]
+        ways = ways | {n: (0, 1) for n in readings if table.units.get(n) == table.units.get(back)}
+    return ways if sorted(way for _, way in ways.values()) == [-1, 1] else {}
 
 
 def _is_target(table: ForeignTable, name: str) -> bool:

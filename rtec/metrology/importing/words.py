@@ -140,6 +140,7 @@ DIRECTIONS: Final = {
     "positive": 1, "negative": -1, "positiv": 1, "negativ": -1, "plus": 1, "minus": -1, "auf": 1, "ab": -1,
     "aller": 1, "retour": -1, "avant": 1, "arrière": -1, "ida": 1, "vuelta": -1, "andata": 1, "ritorno": -1,
     "increasing": 1, "decreasing": -1, "inc": 1, "dec": -1, "↑": 1, "↓": -1, "→": 1, "←": -1, "−": -1, "–": -1,
+    "return": -1,
 }  # fmt: skip
 PLACES: Final = {
     "mutter": "nut", "spindelmutter": "nut", "kugelgewindemutter": "nut",
