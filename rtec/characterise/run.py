@@ -51,6 +51,8 @@ from rtec.estimation.slipped import STEP as APART
 from rtec.estimation.slipped import slipped
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
+from rtec.estimation.warm_start import STEP as BEGIN
+from rtec.estimation.warm_start import cooling
 from rtec.estimation.warmth import EXPANDS, SURE
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
@@ -112,6 +114,11 @@ def characterise(
         made = assemble(fit, fitted.screened, fitted.choice, given, name, margin or Margin())
         first = [*fitted.scales, *([few] if few else [])]
         first += [fitted.doubt] if fitted.doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
+        first += (
+            [Warn("warm_start", said.rstrip("."), BEGIN.rstrip("."))]
+            if (said := cooling(made.model, given.readings))
+            else []
+        )
         first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
         return replace(made, warnings=(*first, *made.warnings))
 

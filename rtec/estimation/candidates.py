@@ -113,6 +113,13 @@ def library(
     return [c for c in out if type(c.effect) not in SKIPPED], untried
 
 
+def simple_effects(readings: Readings) -> list[Effect]:
+    """Effects of the catalogue that have one number, and no other parameter."""
+    machine = readings.machine
+    effects = [c.effect for c in library(readings)[0]]
+    return [e for e in effects if len(e.coefficients(machine)) == 1 and not e.nonlinear(machine)]
+
+
 def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> bool:
     """Whether an effect is an angle that grows linearly, jumps or warms, and shifts read it at one lever arm only.
 

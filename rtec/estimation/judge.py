@@ -1,7 +1,7 @@
 """One judgement of a model on measurements: the same residual, noise floor and held-out error in every command."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.effects import Effect
 from rtec.estimation import floor
 from rtec.estimation.columns import Base, base_of
 from rtec.estimation.floor import Floor, Unit
-from rtec.estimation.gls import HeldOut, held_out
+from rtec.estimation.gls import HeldOut, held_out, solve
 from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.noise import Whitener, noise_on_stretches
 from rtec.estimation.outliers import Clean
@@ -105,6 +106,14 @@ class Judgement:
     def pooled(self, left: Floats) -> float:
         """Root mean square of residuals, (m,)."""
         return floor.pooled(self.readings, floor.rms_by_series(self.readings, left), self.scale)
+
+    def columns_of(self, effect: Effect, theta: Mapping[str, float] | None = None) -> Floats:
+        """Columns of an effect, less what the instruments cannot know, (m, k)."""
+        return floor.cleaned(self.readings, self.readings.columns(effect, theta or {}))
+
+    def left_by(self, columns: Floats) -> float:
+        """Root mean square of the residual with columns, (m, k), fitted to it."""
+        return self.pooled(self.left - columns @ solve(columns, self.left))
 
     @cached_property
     def residual(self) -> float:

@@ -98,12 +98,15 @@ class Clean:
         wrong: the rejected ones.
         kept: which of all readings count.
         ends: end targets that stand out among the readings that count.
+        starts: in words, which records begin while the machine is warm: there, what a delayed effect remembers from
+            before is among the unknowns of `readings`. Empty where none does.
     """
 
     readings: Readings
     wrong: tuple[WrongReading, ...]
     kept: Bools
     ends: tuple[EndTargets, ...] = ()
+    starts: str = ""
 
     def smoothed(self) -> Readings:
         """The same readings with temperatures smoothed in time."""

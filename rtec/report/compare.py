@@ -89,7 +89,8 @@ def _lead(c: Comparison) -> str:
     more = f" The other {'residual is' if others == 1 else f'{others} residuals are'} in the table." if others else ""
     asked = next((f" {_sentence(d.words)}" for d in c.doubts if d.blames_no_effect), "")
     unread = unread_beside(c.judged.readings.measurements, c.doubts)
-    return _verdict(first, c) + asked + more + left_out(c.judged.given.wrong) + unread
+    warm = "".join(f" {d.words}" for d in c.doubts if d.kind == "warm_start")
+    return _verdict(first, c) + asked + more + warm + left_out(c.judged.given.wrong) + unread
 
 
 def _badness(i: Compared) -> tuple[bool, float]:

@@ -221,6 +221,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     judged = r.diagnoses[-1].judged if r.diagnoses else None
     if judged:
         read = judged.readings.measurements
+        lead += "".join(f" {d.words}" for d in r.diagnoses[-1].doubts if d.kind == "warm_start")
         lead += unread_beside(read, r.diagnoses[-1].doubts) + not_logged_beside(read)
     steps = [
         Section(f"Step {i}: {', '.join(s.labels)}", _before_and_after(s).text, _before_and_after(s).table)

@@ -23,9 +23,10 @@ from rtec.estimation.flexible import flexible_columns, unexplained
 from rtec.estimation.floor import Floor, flattened, floors, tails_of
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
-from rtec.estimation.outliers import clean, outlier_words
+from rtec.estimation.outliers import outlier_words
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.visible import moves
+from rtec.estimation.warm_start import given_to
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -72,7 +73,7 @@ def compare(
     check_enough(measurements, FEWEST)
     with one_blas_thread():
         progress("reading, predicting", 0, 1)
-        judged = Judgement(model, clean(measurements, model.reference_degc))
+        judged = Judgement(model, given_to(model, measurements))
         readings, notes = judged.readings, outlier_words(judged.given.wrong)
         traces = _traces(model, readings)
         if residual is not None:

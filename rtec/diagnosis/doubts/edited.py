@@ -2,16 +2,15 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.edits import ABOVE, AS_GOOD, FAR_LESS, HALF, NEAR_FIT, Edit, Edits, with_channels
-from rtec.effects import Effect
 from rtec.estimation import floor
-from rtec.estimation.candidates import library
+from rtec.estimation.candidates import library, simple_effects
 from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
@@ -143,9 +142,9 @@ def as_in_the_fit(judged: Judgement, found: Edit) -> bool:
     # One that changes with time would follow a drift.
     machine = judged.model.machine
     places = {c for a in machine.axes for c in a.moving_channels}
-    fixed = [columns_of(judged, e) for e in simple_effects(judged) if set(e.channels(machine)) <= places]
+    fixed = [judged.columns_of(e) for e in simple_effects(judged.readings) if set(e.channels(machine)) <= places]
     own = floor.cleaned(readings, judged.base.columns)
-    return not any(left_by(judged, np.hstack([own, c])) < FAR_LESS * found.residual for c in fixed)
+    return not any(judged.left_by(np.hstack([own, c])) < FAR_LESS * found.residual for c in fixed)
 
 
 def _like_refit(judged: Judgement, found: Edit) -> bool:
@@ -156,7 +155,7 @@ def _like_refit(judged: Judgement, found: Edit) -> bool:
 
 def _own_number_does(judged: Judgement, residual: float) -> bool:
     """Whether new numbers of one effect of the model leave about as little as an edit."""
-    own = (left_by(judged, columns_of(judged, f.effect, f.theta)) for f in judged.model.effects)
+    own = (judged.left_by(judged.columns_of(f.effect, f.theta)) for f in judged.model.effects)
     return any(left < AS_GOOD * residual for left in own)
 
 
@@ -164,7 +163,7 @@ def _as_well(judged: Judgement, residual: float) -> bool:
     """Whether new numbers of one effect leave about as little as an edit, or a missing one of one number less."""
     if _own_number_does(judged, residual):
         return True
-    new = (left_by(judged, columns_of(judged, e)) for e in simple_effects(judged))
+    new = (judged.left_by(judged.columns_of(e)) for e in simple_effects(judged.readings))
     return any(_clearly_less(left, residual, judged.noise_floor) for left in new)
 
 
@@ -222,8 +221,8 @@ def _new_number_does(judged: Judgement, found: Edit) -> bool:
     That a number is many times what it was, or has the other sign, is less plain than that a unit is wrong.
     """
     for fitted in judged.model.effects:
-        columns = columns_of(judged, fitted.effect, fitted.theta)
-        if AS_GOOD * left_by(judged, columns) >= found.residual:
+        columns = judged.columns_of(fitted.effect, fitted.theta)
+        if AS_GOOD * judged.left_by(columns) >= found.residual:
             continue
         old = ordered(fitted, judged.readings)
         times = 1.0 + solve(columns, judged.left) / np.where(old == 0.0, math.inf, old)
@@ -255,9 +254,9 @@ def _other_sensor_does(judged: Judgement, found: Edit) -> bool:
         without = judged.left + own
         for name in others:
             by = effect.model_copy(update={"sensor": name})
-            late = [columns_of(judged, by, {**fitted.theta, p.name: v}) for p in by.nonlinear(machine) for v in p.grid]
+            late = [judged.columns_of(by, {**fitted.theta, p.name: v}) for p in by.nonlinear(machine) for v in p.grid]
             at_once = by.model_copy(update={"lag": False}) if getattr(by, "lag", False) else by
-            for columns in [columns_of(judged, at_once, fitted.theta), *late]:
+            for columns in [judged.columns_of(at_once, fitted.theta), *late]:
                 if judged.pooled(without - columns @ solve(columns, without)) < enough:
                     return True
     return False
@@ -324,8 +323,8 @@ def _effect_does(judged: Judgement, found: Edit) -> bool:
     if _as_well(judged, found.residual):
         return True
     exchanged, own = _refitted(judged, found), floor.cleaned(judged.readings, judged.base.columns)
-    beside = (np.hstack([own, columns_of(judged, e)]) for e in simple_effects(judged))
-    return any(_less_above(left_by(judged, b), exchanged, judged.noise_floor) for b in beside)
+    beside = (np.hstack([own, judged.columns_of(e)]) for e in simple_effects(judged.readings))
+    return any(_less_above(judged.left_by(b), exchanged, judged.noise_floor) for b in beside)
 
 
 def _refitted(judged: Judgement, found: Edit) -> float:
@@ -357,8 +356,8 @@ def _exchanged_as_in_the_fit(judged: Judgement, found: Edit) -> bool:
         warm = bool(sensors & set(effect.channels(machine)))
         if len(effect.coefficients(machine)) > 1 or (effect.nonlinear(machine) and not warm):
             continue
-        beside = (np.hstack([own, columns_of(judged, effect, theta)]) for theta in one.thetas)
-        if any(AS_GOOD * left_by(judged, b) < exchanged for b in beside):
+        beside = (np.hstack([own, judged.columns_of(effect, theta)]) for theta in one.thetas)
+        if any(AS_GOOD * judged.left_by(b) < exchanged for b in beside):
             return False
     return True
 
@@ -376,21 +375,11 @@ def _delay_does(judged: Judgement, found: Edit) -> bool:
         if not sensors & set(effect.channels(machine)) or len(delays) > 1 or any(p.unit != "s" for p in delays):
             continue
         thetas = [{p.name: v} for p in delays for v in p.grid] or [{}]
-        columns = [columns_of(judged, effect, t) for t in thetas]
+        columns = [judged.columns_of(effect, t) for t in thetas]
         beside = [np.hstack([own, *pair]) for pair in itertools.pairwise(columns)] or [np.hstack([own, *columns])]
-        if any(left_by(judged, b) < ALIKE * found.residual for b in beside):
+        if any(judged.left_by(b) < ALIKE * found.residual for b in beside):
             return True
     return False
-
-
-def columns_of(judged: Judgement, effect: Effect, theta: Mapping[str, float] | None = None) -> Floats:
-    """Columns of an effect, less what the instruments cannot know, (m, k)."""
-    return floor.cleaned(judged.readings, judged.readings.columns(effect, theta or {}))
-
-
-def left_by(judged: Judgement, columns: Floats) -> float:
-    """Residual with columns fitted to it."""
-    return judged.pooled(judged.left - columns @ solve(columns, judged.left))
 
 
 def _clearly_less(one: float, other: float, noise: float) -> bool:
@@ -401,13 +390,6 @@ def _clearly_less(one: float, other: float, noise: float) -> bool:
 def _less_above(one: float, other: float, noise: float) -> bool:
     """Whether one residual is clearly less than another above a noise that the other does not reach."""
     return other > REACHED * noise and max(one**2 - noise**2, 0.0) < HALF * (other**2 - noise**2)
-
-
-def simple_effects(judged: Judgement) -> list[Effect]:
-    """Effects of the catalogue that have one number, as an edit has."""
-    machine = judged.model.machine
-    effects = [c.effect for c in library(judged.readings)[0]]
-    return [e for e in effects if len(e.coefficients(machine)) == 1 and not e.nonlinear(machine)]
 
 
 def _error_of_fit(model: Model, unit: str, measurements: Sequence[Measurement]) -> float | None:

@@ -7,10 +7,10 @@ import numpy as np
 
 from rtec.characterise.own_scale import LEAST_UM_PER_M, OWN, REMEDY, decide, groups_of
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.doubts.edited import columns_of, left_by, simple_effects
 from rtec.diagnosis.doubts.edits import AS_GOOD
 from rtec.effects.geometry import Scale
 from rtec.estimation import floor
+from rtec.estimation.candidates import simple_effects
 from rtec.estimation.judge import Judgement
 
 MOST = 0.5
@@ -41,13 +41,13 @@ def own_scale_of(judged: Judgement) -> Doubt | None:
     if any(made[i] == made[j] for i in found.files for j in set(range(len(made))) - {*found.files}):
         return None
     k = groups.index(found.files)
-    found, rest = replace(found, um_per_m=float(product[k] / own[k])), left_by(judged, columns[:, [k]])
+    found, rest = replace(found, um_per_m=float(product[k] / own[k])), judged.left_by(columns[:, [k]])
     if abs(found.um_per_m) < LEAST_UM_PER_M:
         return None
     effects = itertools.chain(
-        ((f.effect, f.theta) for f in judged.model.effects), ((e, None) for e in simple_effects(judged))
+        ((f.effect, f.theta) for f in judged.model.effects), ((e, None) for e in simple_effects(judged.readings))
     )
-    if any(left_by(judged, columns_of(judged, e, theta)) < AS_GOOD * rest for e, theta in effects):
+    if any(judged.left_by(judged.columns_of(e, theta)) < AS_GOOD * rest for e, theta in effects):
         return None
     step = f"{REMEDY[0].upper()}{REMEDY[1:]}."
     return Doubt("contradiction", f"{found.message(readings.measurements)}.", step, fatal=True)

@@ -30,6 +30,7 @@ from rtec.estimation.slipped import STEP as APART
 from rtec.estimation.slipped import slipped
 from rtec.estimation.two_levels import STEP as STATES
 from rtec.estimation.two_levels import two_levels
+from rtec.estimation.warm_start import STEP as BEGIN
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.model import Model
 from rtec.model.history import steps_of
@@ -92,6 +93,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
         found += _disagree(judged)
     found += [d for d in impossible if not d.fatal]
     found += [Doubt("one_pass", p.message, p.next_step, fatal=p.one_way) for p in one_pass(readings)]
+    found += [Doubt("warm_start", judged.given.starts, BEGIN)] if judged.given.starts else []
     found += _few_runs(readings)
     return tuple(found)
 

@@ -34,9 +34,10 @@ from rtec.estimation.joint import ChangedNumber, Joint, changed_between, joint_f
 from rtec.estimation.judge import Judgement
 from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import least_noise
-from rtec.estimation.outliers import Clean, clean
+from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.unmeasured import UnmeasuredMotion, unmeasured_motions
+from rtec.estimation.warm_start import given_to
 from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
 from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement
@@ -295,7 +296,7 @@ def _add(
     _check_new(model, new)
     check_enough(measurements)
     progress("refitting the model as it is", 0, 3)
-    there = given or clean(measurements, model.reference_degc).without_ends()
+    there = given or given_to(model, measurements).without_ends()
     readings = there.readings
     wrong = in_doubt(Judgement(model, there)) if given is None else ()
     if all(d.kind == "wrong_scale" for d in wrong):

@@ -34,7 +34,8 @@ from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.estimation.judge import Judgement
 from rtec.estimation.one_pass import one_pass
-from rtec.estimation.outliers import Clean, clean
+from rtec.estimation.outliers import Clean
+from rtec.estimation.warm_start import given_to
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -174,7 +175,7 @@ def improve(
         MeasurementError: as of `diagnose`, or there are too few readings.
     """
     check_enough(measurements)
-    given = clean(measurements, model.reference_degc).without_ends()
+    given = given_to(model, measurements).without_ends()
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
     done = _improved(growth, model, ask, ask_made, step)
     if done.reason in GOES_ON and growth.earlier is not None and not growth.events and not growth.declined:

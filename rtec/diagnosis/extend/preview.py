@@ -13,7 +13,7 @@ from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
-from rtec.estimation.outliers import clean
+from rtec.estimation.warm_start import given_to
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 
@@ -54,7 +54,7 @@ def preview(
     effect = expression_from_text(expression, list(params), component, model.machine)
     effect.check(model.machine, "expression")
     theta = {p.name: p.start for p in effect.nonlinear(model.machine)}
-    judged = Judgement(model, clean(measurements, model.reference_degc))
+    judged = Judgement(model, given_to(model, measurements))
     shown = of_effect(judged.readings, judged.base.columns, judged.flexible, expression, effect, theta)
     if shown is None or not shown.drivers:
         raise ModelError(f"no reading shows {expression}; nothing that it depends on was moved")

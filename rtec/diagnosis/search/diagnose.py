@@ -77,8 +77,9 @@ from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.gls import along_runs, held_out_gain, solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
-from rtec.estimation.outliers import Clean, clean
+from rtec.estimation.outliers import Clean
 from rtec.estimation.visible import behind_arm, read_directly
+from rtec.estimation.warm_start import given_to
 from rtec.estimation.warmth import EXPANDS
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
@@ -159,7 +160,7 @@ def diagnose(
     with one_blas_thread():
         progress = stage or (lambda *_: None)
         progress("reading, finding the noise", 0, 1)
-        there = given or clean(measurements, model.reference_degc).without_ends()
+        there = given or given_to(model, measurements).without_ends()
         search = Search(model, there, seed, alpha, draws, only, explain, progress, earlier=earlier)
         found = instead_of_files(search, search.diagnosis())
         return with_changes(found, model, there) if explain else found

@@ -1,0 +1,155 @@
+"""Records of which the first hours are cut off, so that they begin while the spindle is warm.
+
+Oracle: the same day from the cold start on. Bodies and their delays are integrated here in steps of a second; what a
+body remembers from before the cut fades as exp(-t/τ).
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.characterise import characterise, fitted_model
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.effects.effect_list import read_wanted
+from rtec.estimation import warm_start
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import clean
+from rtec.estimation.readings import read
+from rtec.machine import Machine, machine_from
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from tests.support.diagnosis_examples import TABLE
+
+pytestmark = pytest.mark.xdist_group("warm-start")
+
+Floats = NDArray[np.float64]
+NOISE_UM, EVERY_S, HOURS = 0.15, 300, 13.0
+TAU_Z_S, TAU_X_S = 1800.0, 3600.0
+K_Z, K_X = -1.2, 0.7
+PROBES = {"x": {"direction": "X", "offset_mm": [0.0, 0.0, 0.0]}, "z": {"direction": "Z", "offset_mm": [0.0, 0.0, 0.0]}}
+
+
+def lathe() -> Machine:
+    sensors: dict[str, Any] = {"T_spindle": {}, "T_bed": {}, "T_air": {}}
+    chain = {"name": "small", "tool_chain": ["Z", "X", "tool"], "work_chain": ["spindle", "workpiece"]}
+    links = {**TABLE["link"], "spindle": {"offset_mm": [0.0, 0.0, 0.0]}}
+    return machine_from({**TABLE, "machine": chain, "temperature": sensors, "link": links}, "small")
+
+
+def behind(values: Floats, tau_s: float) -> Floats:
+    """A body that lags, step by step of a second; at rest at first."""
+    out, share = np.empty_like(values), 1.0 / tau_s
+    out[0] = values[0]
+    for i in range(1, len(values)):
+        out[i] = out[i - 1] + share * (values[i] - out[i - 1])
+    return out
+
+
+def day(seed: int, from_h: float = 0.0, column_um_per_degc: float = 0.0) -> Measurement:
+    """A spindle that runs for four hours, rests for three, runs for two and rests.
+
+    Args:
+        seed: of the noise.
+        from_h: what was before is cut off.
+        column_um_per_degc: growth along Z by T_bed, which the model does not have.
+    """
+    rng = np.random.default_rng(seed)
+    hours = np.arange(0.0, HOURS, 1.0 / 3600.0)
+    rpm = np.where((hours > 0.5) & (hours < 4.5), 4000.0, np.where((hours > 7.5) & (hours < 9.5), 6000.0, 0.0))
+    air = 20.0 + 0.5 * np.sin(2.0 * np.pi * hours / 24.0)
+    spindle = air + behind(rpm / 400.0, 1500.0)
+    bed = 20.0 + 3.0 * np.sin(2.0 * np.pi * (hours - 1.0) / 6.0) * (hours > 1.0)
+    z = K_Z * behind(spindle - 20.0, TAU_Z_S) + column_um_per_degc * (bed - 20.0)
+    x = K_X * behind(spindle - 20.0, TAU_X_S)
+    rows = np.arange(int(from_h * 3600), len(hours), EVERY_S)
+    channels = {
+        "x": np.full(len(rows), 100.0), "z": np.full(len(rows), 100.0), "spindle_rpm": rpm[rows],
+        "T_spindle": spindle[rows] + 0.02 * rng.standard_normal(len(rows)), "T_bed": bed[rows], "T_air": air[rows],
+    }  # fmt: skip
+    readings = {
+        f"reading_{n}_um": v[rows] + NOISE_UM * rng.standard_normal(len(rows)) for n, v in {"x": x, "z": z}.items()
+    }
+    made = make_instrument("spindle_drift", {"probe": PROBES}, None, None, lathe(), "test")
+    time_s = EVERY_S * np.arange(float(len(rows)))
+    return Measurement(f"day-{seed}", made, lathe(), np.zeros(len(rows), np.int64), time_s, channels, readings)
+
+
+@cache
+def known() -> Model:
+    """The model, from two whole days."""
+    wanted = "spindle_growth:EX0spindle:sensor=T_spindle:lag=true,spindle_growth:EZ0spindle:sensor=T_spindle:lag=true"
+    return fitted_model([day(1), day(2)], wanted=read_wanted(wanted, lathe()))
+
+
+def warm(model: Model, *records: Measurement) -> str:
+    return warm_start.given_to(model, records).starts
+
+
+@pytest.mark.parametrize("from_h", [4.6, 5.5, 10.0])
+def test_a_true_model_is_right_where_the_first_hours_are_cut_off(from_h: float) -> None:
+    """As it was, two or three effects were "missing", and the model got worse on whole days by a factor of ten."""
+    late = day(3, from_h)
+    plain = Judgement(known(), clean([late]))
+    assert plain.residual > 2.0 * NOISE_UM
+    found = compare(known(), [late])
+    assert found.judged.residual == pytest.approx(NOISE_UM, rel=0.2)
+    assert [d.kind for d in found.doubts if d.kind == "warm_start"] == ["warm_start"]
+    answer = diagnose(known(), [late], draws=50)
+    assert answer.verdict == "nothing_missing"
+    assert "day-3 begins while the machine is warm (T_spindle" in answer.sentence
+    better = improve(known(), [late], ask=None, draws=50)
+    assert better.model.effects == known().effects
+
+
+def test_a_record_from_the_cold_start_on_has_none() -> None:
+    assert warm(known(), day(4), day(5)) == ""
+    assert compare(known(), [day(4)]).judged.residual == pytest.approx(NOISE_UM, rel=0.2)
+
+
+def test_each_record_has_its_own_start() -> None:
+    assert warm(known(), day(4), day(6, 5.0), day(7, 10.0)).startswith("day-6 and day-7 begin while")
+
+
+def test_a_start_fades_with_the_delay_of_its_effect() -> None:
+    """Of a record that begins at the cut, the states of the whole day at the cut are the true starts."""
+    cut_s, late = int(5.0 * 3600), day(8, 5.0)
+    whole = predicted(day(8), known())
+    cut = predicted(late, known())
+    off = whole[:, cut_s // EVERY_S :] - cut
+    fades = np.stack([np.exp(-late.time_s / t) for t in taus()])
+    np.testing.assert_allclose(off, off[:, :1] * fades, atol=0.06)
+
+
+def taus() -> list[float]:
+    return [f.theta["tau"] for f in known().effects]
+
+
+def predicted(m: Measurement, model: Model) -> Floats:
+    """What each effect of the model predicts, (effects, n)."""
+    readings = read([m], smooth=False)
+    each = [readings.columns(f.effect, f.theta)[:, 0] * f.values["k"] for f in model.effects]
+    return np.stack([e.reshape(2, -1)[i] for i, e in enumerate(each)])
+
+
+def test_an_effect_is_named_although_the_record_begins_warm() -> None:
+    answer = diagnose(known(), [day(9, 4.6, column_um_per_degc=0.8)], draws=50)
+    assert answer.verdict in ("missing_effect", "ambiguous")
+    assert "T_bed" in {getattr(f.effect, "sensor", "") for f in answer.findings[:1]}
+
+
+def test_a_missing_effect_of_a_whole_day_is_no_warm_start() -> None:
+    assert warm(known(), day(10, column_um_per_degc=0.8)) == ""
+
+
+def test_fit_warns_of_records_that_begin_while_the_spindle_cools() -> None:
+    said = [w for w in characterise([day(11, 5.0), day(12, 5.0)]).warnings if w.code == "warm_start"]
+    assert len(said) == 1
+    assert said[0].text.startswith("day-11 and day-12 begin while the machine is warm")
+    assert "T_spindle" in said[0].text
+    assert not [w for w in characterise([day(13), day(14)]).warnings if w.code == "warm_start"]
