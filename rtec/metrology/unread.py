@@ -1,5 +1,6 @@
 """Columns of a file that nothing reads and that vary: above all the angle of a rotary axis, which no model has."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import Final
@@ -11,9 +12,16 @@ from rtec.wording import listed, significant
 
 Floats = NDArray[np.float64]
 
+PER_UNIT: Final[Mapping[str, float]] = {
+    "mrad": 1e-3, "rad": 1.0, "gon": math.pi / 200.0, "arcmin": math.pi / 10800.0, "arcsec": math.pi / 648000.0,
+    "turn": 2.0 * math.pi, "turns": 2.0 * math.pi,
+}  # fmt: skip
+"""Radians in a unit that may end a column's name; else it is in degrees."""
+UNIT: Final = re.compile(rf"(?:.*[\W_])?({'|'.join(PER_UNIT)}|deg|degrees?|°)[\])]?")
+WORDS: Final = "angle|winkel|rotary|rotation|drehtisch|rundtisch|tisch|table|swivel|trunnion|phi|theta"
+ROLES: Final = "axis|achse|pos|cmd|soll|ist|act|rot"
 ROTARY: Final = re.compile(
-    r"(.*[\W_])?(deg|degrees?|rad|°)[\])]?"
-    r"|(pos_?)?[abc]([ _-]?(axis|achse|pos))?|(axis|achse)[ _-]?[abc]|(angle|winkel)([ _-].*)?"
+    rf"(({ROLES})[ _-]?)?[abc]\d?([ _-]?({ROLES}))?|(axis|achse)[ _-]?[4-6]|[45]th[ _-](axis|achse)|({WORDS})([ _-].*)?"
 )
 WARM: Final = re.compile(r"t([ _-]|\d).*|.*temp.*")
 FEWEST = 3
@@ -23,7 +31,13 @@ MOST_NAMED = 4
 def is_rotary(name: str) -> bool:
     """Whether a column is an angle of a rotary axis by its name: `c_deg`, `C [°]`, `B axis`; not a temperature."""
     tidy = name.strip().lower()
-    return ROTARY.fullmatch(tidy) is not None and WARM.fullmatch(tidy) is None
+    return (UNIT.fullmatch(tidy) or ROTARY.fullmatch(tidy)) is not None and WARM.fullmatch(tidy) is None
+
+
+def radians(name: str, values: Floats) -> Floats:
+    """An angle in radians, by the unit in its name; without one it is in degrees."""
+    found = UNIT.fullmatch(name.strip().lower())
+    return values * PER_UNIT.get(found.group(1) if found else "", math.pi / 180.0)
 
 
 def varies(name: str, values: Floats) -> bool:

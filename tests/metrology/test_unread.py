@@ -9,7 +9,7 @@ from pyarrow import parquet
 
 from rtec.metrology.files.load import Leniency, load_measurement, save_measurement
 from rtec.metrology.importing import import_to_files, propose
-from rtec.metrology.unread import is_rotary, not_read
+from rtec.metrology.unread import is_rotary, not_read, radians
 from tests.support.measurement_examples import HEADER, machine, rows, text, write
 
 ANGLE = [15.0 * i for i in range(12)]
@@ -25,11 +25,23 @@ def beside(name: str, cells: list[str], lines: list[str] | None = None) -> str:
     ("name", "rotary"),
     [
         *((n, True) for n in ("c_deg", "C [°]", "b_deg", "A [deg]", "C", "B axis", "winkel", "tilt_rad", "C (deg)")),
+        *((n, True) for n in ("b_cmd", "rot_b", "B1", "axis4", "rotary", "table", "Tisch", "phi", "b_gon", "b_arcmin")),
+        *((n, True) for n in ("b_mrad [mrad]", "b_turns", "4th axis", "B Achse")),
         *((n, False) for n in ("T_deg", "temp_deg", "T_air_degc", "Air [°C]", "humidity", "X [mm]", "abc", "grade")),
+        *((n, False) for n in ("axis1", "x", "d1", "index", "T_table", "table_temp", "adc3", "bias", "returns")),
     ],
 )
 def test_what_is_an_angle_of_a_rotary_axis(name: str, rotary: bool) -> None:
     assert is_rotary(name) is rotary
+
+
+@pytest.mark.parametrize(
+    ("name", "turn"),
+    [("c_deg", 360.0), ("C", 360.0), ("b_rad", 2.0 * np.pi), ("b [mrad]", 2000.0 * np.pi), ("b_gon", 400.0),
+     ("b_arcmin", 21600.0), ("b_arcsec", 1296000.0), ("b_turns", 1.0)],
+)  # fmt: skip
+def test_a_turn_in_each_unit(name: str, turn: float) -> None:
+    assert radians(name, np.array([turn]))[0] == pytest.approx(2.0 * np.pi)
 
 
 def test_the_sentence() -> None:

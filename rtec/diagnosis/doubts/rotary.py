@@ -16,7 +16,7 @@ from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation import floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Series
-from rtec.metrology.unread import is_rotary, joined, ranged
+from rtec.metrology.unread import is_rotary, joined, radians, ranged
 from rtec.wording import ERROR_UNITS, sizes
 
 Floats = NDArray[np.float64]
@@ -104,7 +104,7 @@ class _Turned:
     def turns(self) -> list[Floats]:
         """Each angle, rad, (n,)."""
         rows = self.series.row
-        return [np.nan_to_num(v[rows] if _in_rad(n) else np.deg2rad(v[rows])) for n, v in self.angles.items()]
+        return [np.nan_to_num(radians(n, v[rows])) for n, v in self.angles.items()]
 
     @cached_property
     def circles(self) -> list[Floats]:
@@ -321,10 +321,6 @@ def _direction(turn: Floats, run: Ints) -> Floats:
         return np.zeros(len(turn))
     following = np.minimum(np.searchsorted(moved, np.arange(len(turn))), len(moved) - 1)
     return np.asarray(np.sign(step[moved[following]]))
-
-
-def _in_rad(name: str) -> bool:
-    return name.rstrip(")]").endswith("rad")
 
 
 def _rest(values: Floats, columns: Floats) -> float:
