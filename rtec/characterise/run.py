@@ -47,6 +47,8 @@ from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings, faults_of
+from rtec.estimation.rotary import STEP as ONE_ANGLE
+from rtec.estimation.rotary import turned_with
 from rtec.estimation.slipped import STEP as APART
 from rtec.estimation.slipped import slipped
 from rtec.estimation.targets import FEW as FEW_TARGETS
@@ -58,9 +60,11 @@ from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.unread import is_rotary
 from rtec.model import Model
 from rtec.model.fit import Margin
 from rtec.parallel import one_blas_thread
+from rtec.wording import listed
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
@@ -112,7 +116,7 @@ def characterise(
         given, fit = fitted.given, fitted.fit
         few = _too_few_circles(given, leave_out_h) if wanted is None else None
         made = assemble(fit, fitted.screened, fitted.choice, given, name, margin or Margin())
-        first = [*fitted.scales, *([few] if few else [])]
+        first = [*fitted.warnings, *([few] if few else [])]
         first += [fitted.doubt] if fitted.doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
         first += (
             [Warn("warm_start", said.rstrip("."), BEGIN.rstrip("."))]
@@ -155,20 +159,21 @@ def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tu
 
 @dataclass(frozen=True)
 class _WholeFit:
-    """A fit with its readings, the choice before it, and warnings on measurements that contradict the others."""
+    """A fit with its readings, the choice before it, and warnings on measurements that do not fit to the others."""
 
     given: Clean
     doubt: Warn | None
     fit: Estimate
     screened: Screened | None
     choice: TermChoice | None
-    scales: tuple[Warn, ...] = ()
+    warnings: tuple[Warn, ...] = ()
 
 
 def _whole_fit(
     measurements: Sequence[Measurement], wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
 ) -> _WholeFit:
     """Fit; after a free choice again, where measurements get a scale of their own as theirs contradicts the others."""
+    measurements, turned = _without_turned(measurements, wanted, leave_out_h)
     told: list[OwnScale] = []
     while True:
         given, doubt = _given(measurements, leave_out_h)
@@ -186,7 +191,30 @@ def _whole_fit(
             break
         measurements = [own.get(m.name, m) for m in measurements]
     files = given.readings.measurements
-    return _WholeFit(given, doubt, fit, screened, choice, tuple(_of_own_scale(t, files, fit) for t in told))
+    scales = (_of_own_scale(t, files, fit) for t in told)
+    return _WholeFit(given, doubt, fit, screened, choice, (*turned, *scales))
+
+
+def _without_turned(
+    measurements: Sequence[Measurement], wanted: AskedEffects | None, leave_out_h: float | None
+) -> tuple[Sequence[Measurement], list[Warn]]:
+    """Without files whose readings depend on the angle of a rotary axis, as the model of the other files tells."""
+    turned = [m for m in measurements if any(map(is_rotary, m.unread))]
+    others = [m for m in measurements if not any(map(is_rotary, m.unread))]
+    if not turned:
+        return measurements, []
+    try:
+        of_others = model_of(_whole_fit(others, wanted, leave_out_h, None).fit, "", Margin()) if others else None
+    except (ModelError, Fault):
+        of_others = None
+    model = of_others or Model(turned[0].machine)
+    found = {m.name: said for m in turned if (said := turned_with(Judgement(model, clean([m], model.reference_degc))))}
+    if not found:
+        return measurements, []
+    rest = [m for m in measurements if m.name not in found] if of_others else measurements
+    names, said = listed(list(found)), next(iter(found.values())).rstrip(".")
+    text = f"{names}: not in the fit, as {said[0].lower()}{said[1:]}" if of_others else f"{names}: {said}"
+    return rest, [Warn("not_read", text, ONE_ANGLE.rstrip("."))]
 
 
 def _of_own_scale(found: OwnScale, files: Sequence[Measurement], fit: Estimate) -> Warn:

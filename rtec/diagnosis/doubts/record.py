@@ -16,7 +16,6 @@ from rtec.diagnosis.doubts.edits import Edit
 from rtec.diagnosis.doubts.implausible import implausible
 from rtec.diagnosis.doubts.not_read import follows
 from rtec.diagnosis.doubts.own_scale import own_scale_of
-from rtec.diagnosis.doubts.rotary import turned_with
 from rtec.effects import State
 from rtec.estimation import floor
 from rtec.estimation.contradiction import contradiction
@@ -26,6 +25,8 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series
+from rtec.estimation.rotary import STEP as ONE_ANGLE
+from rtec.estimation.rotary import turned_with
 from rtec.estimation.slipped import STEP as APART
 from rtec.estimation.slipped import slipped
 from rtec.estimation.two_levels import STEP as STATES
@@ -71,7 +72,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     one_factor = edited is not None and edited.kind == "wrong_gain"  # explains why files differ, too
     impossible = [d for d in implausible(judged) if edited is None or not _why(edited, d)]
     found += [d for d in impossible if d.fatal]
-    turned = [] if found else turned_with(judged) or follows(judged)
+    turned = [] if found else _turned(judged) or follows(judged)
     if not found and not turned and not one_factor and (odd := contradiction(judged)) is not None:
         step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}.{'' if odd.turned else f' {ALONE}'}"
         found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
@@ -96,6 +97,12 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += [Doubt("warm_start", judged.given.starts, BEGIN)] if judged.given.starts else []
     found += _few_runs(readings)
     return tuple(found)
+
+
+def _turned(judged: Judgement) -> list[Doubt]:
+    """A doubt where the residual depends on the angle of a rotary axis."""
+    said = turned_with(judged)
+    return [Doubt("not_read", said, ONE_ANGLE, fatal=True)] if said else []
 
 
 def _why(edited: Edit, impossible: Doubt) -> bool:

@@ -12,7 +12,6 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation import floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Series
@@ -35,7 +34,7 @@ LEAST_A_WAVE = 2.5
 MOST_WAVES = 400
 SAME_RAD = 1e-5
 """Angles within this are one."""
-NEXT = "Measure with each rotary axis at one angle, or leave these readings out."
+STEP = "Measure with each rotary axis at one angle, or leave these readings out."
 
 FEWEST_WAVES = 2
 WORK = 10**6
@@ -46,8 +45,8 @@ View = Callable[["_Turned", Floats], Floats]
 Columns = Callable[["_Turned"], list[Floats]]
 
 
-def turned_with(judged: Judgement) -> list[Doubt]:
-    """A doubt where most of the residual depends on angles that nothing reads.
+def turned_with(judged: Judgement) -> str:
+    """In words, where most of the residual depends on angles that nothing reads; empty where it does not.
 
     Where the angles are constant within each run, the means of runs are judged: readings of one run are one witness.
     Else a residual that may be a slow drift is judged by its steps from reading to reading.
@@ -55,24 +54,23 @@ def turned_with(judged: Judgement) -> list[Doubt]:
     readings = judged.readings
     angles = [{n: v for n, v in m.unread.items() if is_rotary(n)} for m in readings.measurements]
     if not any(angles):
-        return []
+        return ""
     parts = [_Turned(judged, s, angles[s.source]) for s in readings.series if angles[s.source]]
     drifts = judged.residual < ABOVE_NOISE * math.hypot(judged.noise_floor, judged.drift)
     still = not any(p.turns_within_runs for p in parts)
     found = _found(parts, (_means, _steps_of_means) if still else (_steps,) if drifts else (_as_read,))
     if found is None:
-        return []
+        return ""
     how, explained = found
     after = judged.pooled(judged.left - floor.cleaned(readings, explained))
     if after**2 > MOSTLY * judged.residual**2:
-        return []
+        return ""
     named = " and ".join(ranged(n, v) for n, v in joined(angles).items())
     there, here = sizes(judged.residual, after)
-    message = (
+    return (
         f"The residual depends on {named}, which rtec does not read: {how} lower it from {there} to {here} "
         f"{ERROR_UNITS[judged.unit]}. rtec has no rotary axes, so that any name of this error would be wrong."
     )
-    return [Doubt("not_read", message, NEXT, fatal=True)]
 
 
 @dataclass(frozen=True)
