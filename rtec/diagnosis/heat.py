@@ -232,10 +232,11 @@ AIR_UM_PER_M_DEGC = 0.93
 
 
 def only_time(readings: Readings) -> Doubt:
-    """Doubt where the residual depends smoothly on the time of the record, and on nothing else that was recorded."""
+    """Doubt where the residual depends smoothly on the time of the record, and on no channel."""
+    known = "that rtec reads" if any(m.unread for m in readings.measurements) else "that was recorded"
     message = (
-        "The residual changes smoothly with the time of the record and with nothing else that was recorded: an "
-        "instrument that warms up looks like this, or heat that no sensor recorded."
+        f"The residual changes smoothly with the time of the record and with nothing else {known}: an instrument that "
+        "warms up looks like this, or heat that no sensor recorded."
     )
     step = f"Measure again once the instrument has been on for hours. {_to_record(readings, readings.series[0])}"
     return Doubt("instrument_warm_up", message, step, fatal=True)

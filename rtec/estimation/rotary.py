@@ -4,6 +4,7 @@ An angle is looked for by what it does: a pivot or an axis that is off turns wit
 direction, a worm has so many waves a turn, and a table that is indexed between runs gives each run its own value.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -57,15 +58,19 @@ def turned_with(judged: Judgement) -> str:
         return ""
     parts = [_Turned(judged, s, angles[s.source]) for s in readings.series if angles[s.source]]
     drifts = judged.residual < ABOVE_NOISE * math.hypot(judged.noise_floor, judged.drift)
-    still = not any(p.turns_within_runs for p in parts)
-    found = _found(parts, (_means, _steps_of_means) if still else (_steps,) if drifts else (_as_read,))
+    alone = all(p.alone for p in parts)
+    still = not alone and not any(p.turns_within_runs for p in parts)
+    steps = _steps_of_means if alone else _steps
+    found = _found(parts, (_means, _steps_of_means) if still else (steps,) if drifts else (_as_read,))
     if found is None:
         return ""
     how, explained = found
     after = judged.pooled(judged.left - floor.cleaned(readings, explained))
     if after**2 > MOSTLY * judged.residual**2:
         return ""
-    named = " and ".join(ranged(n, v) for n, v in joined(angles).items())
+    each = joined(angles)
+    named = " and ".join(ranged(n, v) for n, v in each.items())
+    how = how.replace("the angle", "the angles") if len(each) > 1 else how
     there, here = sizes(judged.residual, after)
     return (
         f"The residual depends on {named}, which rtec does not read: {how} lower it from {there} to {here} "
@@ -130,6 +135,13 @@ class _Turned:
         return own + [w for w in ways if np.isfinite(w).all() and np.ptp(w) > 0.0]
 
     @cached_property
+    def of_angles(self) -> list[Floats]:
+        """What is known, and cosine and sine of each angle; of two angles also their products."""
+        pairs = itertools.combinations(range(0, len(self.circles), 2), 2)
+        both = [f * g for i, k in pairs for f in self.circles[i : i + 2] for g in self.circles[k : k + 2]]
+        return [*self.known, *self.circles, *both]
+
+    @cached_property
     def turning(self) -> list[Floats]:
         """What turns with the angles, by itself and times each position."""
         places = list(self.places.values())
@@ -162,6 +174,11 @@ class _Turned:
         place = self.following[axis]
         phase = 2.0 * np.pi * number * place
         return [g * f(phase) for g in (1.0, place - place.mean()) for f in (np.cos, np.sin)]
+
+    @property
+    def alone(self) -> bool:
+        """Whether every run has one reading."""
+        return bool((np.diff(self.series.run) != 0).all())
 
     @cached_property
     def turns_within_runs(self) -> bool:
@@ -225,6 +242,7 @@ def _fit(parts: Sequence[_Turned], view: View, columns: Columns) -> _Fit:
 
 
 FORMS: tuple[tuple[str, Columns], ...] = (
+    ("cosine and sine of the angle", lambda p: p.of_angles),
     ("cosine and sine of the angle", lambda p: p.turned),
     ("cosine, sine and direction of the angle", lambda p: [*p.turned, *p.backlash]),
 )
@@ -236,7 +254,7 @@ def _found(parts: Sequence[_Turned], views: Sequence[View]) -> tuple[str, Floats
     From run to run there are too few angles for more than cosine and sine.
     """
     alone = len(views) == 1
-    for how, form in FORMS if alone else FORMS[:1]:
+    for how, form in FORMS if alone else FORMS[:2]:
         fits = [(_fit(parts, v, lambda p: p.known), _fit(parts, v, form)) for v in views]
         if all(its.beats(other) for other, its in fits):
             return how, fits[0][1].explained

@@ -45,7 +45,7 @@ def tip(xz_mm: Floats, error_um: Floats, angle_deg: Floats, seed: int) -> Measur
         name=f"tip-{seed}",
         instrument=make_instrument("tool_tip", {"directions": ["X", "Z"]}, None, None, MACHINE, "test"),
         machine=MACHINE,
-        run=np.repeat(np.arange(ROUNDS) + 1, n // ROUNDS),
+        run=np.arange(n) * ROUNDS // n + 1,
         time_s=np.arange(0.0, 6.0 * n, 6.0),
         channels={"x": xz_mm[:, 0], "z": xz_mm[:, 1]},
         readings={f"reading_{a}_um": error_um[:, i] + rng.normal(0.0, 0.3, n) for i, a in enumerate("xz")},
@@ -150,6 +150,33 @@ def test_a_table_indexed_between_runs_is_no_drift(seed: int, angles: tuple[float
     found = diagnose(MODEL, [m])
     assert [d.kind for d in found.doubts if d.fatal] == ["not_read"]
     assert "The residual depends on b_deg" in found.sentence
+
+
+def numbered(m: Measurement) -> Measurement:
+    """Each reading is a run of its own, as of a table that is indexed between readings."""
+    return replace(m, run=np.arange(len(m.run)) + 1)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_numbers_of_runs_decide_nothing(seed: int) -> None:
+    """It had been refused by runs of a turn, and four linear effects by runs of one reading."""
+    assert doubted(numbered(on_a_ball(seed, (6.0, -4.0), 20.0)))
+
+
+def two_angles(seed: int, off_um: float) -> Measurement:
+    """Two rotary axes at fourteen poses, three times; an offset turns with both."""
+    a, c = np.array([(a, c) for a in (-90.0, 0.0, 90.0) for c in np.arange(0.0, 360.0, 72.0)][:14] * 3).T
+    lean = np.cos(np.deg2rad(a)) * np.sin(np.deg2rad(c))
+    error = off_um * np.stack([lean, np.sin(np.deg2rad(a))], axis=1)
+    place = np.stack([100.0 + 60.0 * lean, 150.0 + 50.0 * np.sin(np.deg2rad(a))], axis=1)
+    m = tip(place, error, a, seed)
+    return replace(m, unread={"a_deg": a, "c_deg": c}, run=np.repeat([1, 2, 3], 14))
+
+
+def test_few_poses_of_two_rotary_axes() -> None:
+    assert all("a_deg" in doubted(two_angles(seed, 8.0))[0] for seed in range(3))
+    assert not any(doubted(two_angles(seed, 0.0)) for seed in range(40))
+    assert not any(doubted(numbered(on_a_ball(seed, (0.0, 0.0)))) for seed in range(20))
 
 
 @pytest.mark.parametrize("angles", [(0.0, 90.0, 180.0, 270.0), (0.0, 30.0), tuple(np.arange(0.0, 360.0, 22.5))])
