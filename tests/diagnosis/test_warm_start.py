@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.characterise import characterise, fitted_model
+from rtec.characterise import characterise
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
@@ -84,7 +84,7 @@ def day(seed: int, from_h: float = 0.0, column_um_per_degc: float = 0.0) -> Meas
 def known() -> Model:
     """The model, from two whole days."""
     wanted = "spindle_growth:EX0spindle:sensor=T_spindle:lag=true,spindle_growth:EZ0spindle:sensor=T_spindle:lag=true"
-    return fitted_model([day(1), day(2)], wanted=read_wanted(wanted, lathe()))
+    return characterise([day(1), day(2)], wanted=read_wanted(wanted, lathe())).model
 
 
 def warm(model: Model, *records: Measurement) -> str:

@@ -20,6 +20,7 @@ from rtec.estimation.wrong_scale import unit_of
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.model.history import steps_of
+from rtec.wording import listed
 
 Floats = NDArray[np.float64]
 
@@ -295,20 +296,28 @@ def _factors(judged: Judgement, measured: Floats, predicted: Floats, usual: floa
 
 
 def _exchanged_readings(judged: Judgement, measured: Floats, predicted: Floats, usual: float | None) -> Iterator[Edit]:
-    """Two reading columns of one file exchanged, such as two probes on one arbor; then the model fits as it did."""
+    """Two reading columns exchanged in one file or in all, as of two probes on one arbor."""
     readings = judged.readings
     near = max(NEAR_FLOOR * judged.noise_floor, NEAR_FIT * (usual or 0.0))
+    alike: dict[tuple[str, str], list[tuple[Series, Series]]] = {}
     for one, two in itertools.combinations(readings.series, 2):
-        if one.source != two.source or one.unit != two.unit or not np.array_equal(one.row, two.row):
-            continue
-        other = measured.copy()
-        other[one.part], other[two.part] = measured[two.part], measured[one.part]
-        left = judged.pooled(other - predicted)
-        if left > min(BETTER * judged.residual, near) or _as_well(judged, left):
-            continue
-        name = readings.measurements[one.source].name
-        edit = f"{one.column} and {two.column} of {name} exchanged"
-        yield Edit(left, "swapped_readings", edit, "the two probes may be exchanged", "their plugs and columns")
+        if one.source == two.source and one.unit == two.unit:
+            alike.setdefault((one.column, two.column), []).append((one, two))
+    for (first, second), pairs in alike.items():
+        for exchanged in [[p] for p in pairs] + ([pairs] if len(pairs) > 1 else []):
+            other = measured.copy()
+            for one, two in exchanged:
+                for own, its in ((one, two), (two, one)):
+                    # Where the other reading does not count, nothing is known.
+                    other[own.part] = predicted[own.part]
+                    _, there, here = np.intersect1d(own.row, its.row, return_indices=True)
+                    other[own.start + there] = measured[its.start + here]
+            left = judged.pooled(floor.cleaned(readings, other - predicted))
+            if left > min(BETTER * judged.residual, near) or _as_well(judged, left):
+                continue
+            names = listed([readings.measurements[one.source].name for one, _ in exchanged])
+            edit = f"{first} and {second} of {names} exchanged"
+            yield Edit(left, "swapped_readings", edit, "the two probes may be exchanged", "their plugs and columns")
 
 
 def _size(readings: Floats, weight: Floats) -> float:
