@@ -54,7 +54,7 @@ from rtec.estimation.slipped import slipped
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
 from rtec.estimation.warm_start import STEP as BEGIN
-from rtec.estimation.warm_start import cooling
+from rtec.estimation.warm_start import Start, cooling, in_words
 from rtec.estimation.warmth import EXPANDS, SURE
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
@@ -118,11 +118,6 @@ def characterise(
         made = assemble(fit, fitted.screened, fitted.choice, given, name, margin or Margin())
         first = [*fitted.warnings, *([few] if few else [])]
         first += [fitted.doubt] if fitted.doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
-        first += (
-            [Warn("warm_start", said.rstrip("."), BEGIN.rstrip("."))]
-            if (said := cooling(made.model, given.readings))
-            else []
-        )
         first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
         return replace(made, warnings=(*first, *made.warnings))
 
@@ -175,24 +170,47 @@ def _whole_fit(
     """Fit; after a free choice again, where measurements get a scale of their own as theirs contradicts the others."""
     measurements, turned = _without_turned(measurements, wanted, leave_out_h)
     told: list[OwnScale] = []
+    begun: list[Start] = []
     while True:
         given, doubt = _given(measurements, leave_out_h)
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
-        found, own = None, {}
-        if wanted is None and screened is not None and choice is not None and len(told) < OWN_SCALES:
+        files = given.readings.measurements
+        begun = cooling(model_of(fit, "", Margin()), given.readings) or begun
+        warm = {s.name for s in begun}
+        own = {m.name: opened for m in files if m.name in warm and (opened := _with_unknown_start(m)) is not None}
+        found = None
+        if not own and wanted is None and screened is not None and choice is not None and len(told) < OWN_SCALES:
             candidates = screened.candidates
             found = own_scale(screened.sources, [candidates[i] for i in choice.chosen], candidates)
         if found is not None:
             told.append(found)
-            files = given.readings.measurements
             freed = [(files[i].name, with_slope(files[i])) for i in found.files if found.decided]
             own = {name: m for name, m in freed if m is not None}
         if not own:
             break
         measurements = [own.get(m.name, m) for m in measurements]
-    files = given.readings.measurements
     scales = (_of_own_scale(t, files, fit) for t in told)
-    return _WholeFit(given, doubt, fit, screened, choice, (*turned, *scales))
+    return _WholeFit(given, doubt, fit, screened, choice, (*turned, *scales, *_of_starts(begun, files)))
+
+
+def _with_unknown_start(measurement: Measurement) -> Measurement | None:
+    """The measurement with what fades from its first reading on unknown; None if its instrument cannot have it."""
+    setup = measurement.instrument.setup
+    if getattr(setup, "start", None) != "settled":
+        return None
+    own = setup.model_copy(update={"start": "unknown"})
+    return replace(measurement, instrument=replace(measurement.instrument, setup=own))
+
+
+def _of_starts(begun: Sequence[Start], files: Sequence[Measurement]) -> list[Warn]:
+    """Warn of records that begin while the machine is warm."""
+    opened = {m.name for m in files if getattr(m.instrument.setup, "start", "") == "unknown"}
+    told = (
+        ([s for s in begun if s.name in opened], "the fit estimates what follows from that"),
+        ([s for s in begun if s.name not in opened], "the fit takes them as settled, so its numbers may be wrong"),
+    )
+    step = BEGIN.rstrip(".")
+    return [Warn("warm_start", in_words(starts, assumed).rstrip("."), step) for starts, assumed in told if starts]
 
 
 def _without_turned(

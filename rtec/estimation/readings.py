@@ -26,6 +26,8 @@ from rtec.parallel import each
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+FADED = 0.25
+"""An unknown whose mean square elsewhere is below this share of that in one fold is determined there alone."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +110,16 @@ class Readings:
 
     @cached_property
     def alone(self) -> NDArray[np.bool_]:
-        """Which unknowns of the set-up only one of several folds has, (folds, s)."""
-        there = np.array([self.setup[self.fold == f].any(axis=0) for f in np.unique(self.fold)])
-        return np.asarray(there & (there.sum(axis=0) == 1) & (len(there) > 1))
+        """Which unknowns of the set-up one of several folds determines and the others hardly do, (folds, s).
+
+        Only that fold has them; or they fade, as what a body remembers from before the record.
+        """
+        folds = [self.setup[self.fold == f] for f in np.unique(self.fold)]
+        squares = np.array([np.sum(f**2, axis=0) for f in folds])
+        there = np.array([np.count_nonzero(f, axis=0) for f in folds])
+        others, elsewhere = squares.sum(axis=0) - squares, np.maximum(there.sum(axis=0) - there, 1)
+        faded = FADED * squares / np.maximum(there, 1) > others / elsewhere
+        return np.asarray((squares > others) & faded & (len(folds) > 1))
 
     @cached_property
     def run(self) -> Ints:

@@ -45,7 +45,7 @@ COLDER_K = 1.0
 
 
 @dataclass(frozen=True)
-class _Start:
+class Start:
     """A record that begins while the machine is warm: delayed effects of the model, and sensors that still change."""
 
     name: str
@@ -53,7 +53,7 @@ class _Start:
     sensors: tuple[str, ...]
 
 
-def _words(starts: Sequence[_Start], assumed: str) -> str:
+def in_words(starts: Sequence[Start], assumed: str) -> str:
     """What is assumed of records that begin warm."""
     late = list({id(f): f for s in starts for f in s.late}.values())
     sensors = listed(list(dict.fromkeys(n for s in starts for n in s.sensors)))
@@ -92,7 +92,7 @@ def with_starts(model: Model, given: Clean) -> Clean:
     late = [f for f in model.effects if _sensor(f) in readings.machine.sensor_names and "tau" in f.theta]
     if not late:
         return given
-    out, columns = list[_Start](), list[Floats]()
+    out, columns = list[Start](), list[Floats]()
     whole = np.stack([_start(judged, f) for f in late], axis=1)
     source = np.concatenate([np.full(len(s), s.source) for s in readings.series])
     for i in range(len(readings.measurements)):
@@ -106,22 +106,19 @@ def with_starts(model: Model, given: Clean) -> Clean:
     setup = np.hstack([readings.setup, *columns])
     names = tuple(f"start {k} of {w.name}" for w, c in zip(out, columns, strict=True) for k in range(c.shape[1]))
     opened = replace(readings, setup=setup, setup_names=(*readings.setup_names, *names))
-    return replace(given, readings=opened, starts=_words(out, "the residual is without what follows from that"))
+    return replace(given, readings=opened, starts=in_words(out, "the residual is without what follows from that"))
 
 
-def cooling(model: Model, readings: Readings) -> str:
-    """In words, records that begin while the sensor of a delayed effect cools; empty where none does.
-
-    A fit counts the effect as settled there, so that its numbers may be wrong.
-    """
-    begun = list[_Start]()
+def cooling(model: Model, readings: Readings) -> list[Start]:
+    """Records that begin while the sensor of a delayed effect cools."""
+    begun = list[Start]()
     for state, m in zip(readings.states, readings.measurements, strict=True):
         late = tuple(f for f in model.effects if "tau" in f.theta and _sensor(f) in state.channels)
         falls = {f.effect: _first_change(state, _sensor(f), f.theta["tau"]) for f in late}
         late = tuple(f for f in late if falls[f.effect] < -COOLS * float(np.ptp(state.channels[_sensor(f)])))
         if late:
-            begun.append(_Start(m.name, late, tuple(dict.fromkeys(map(_sensor, late)))))
-    return _words(begun, "the fit takes them as settled: its numbers may be wrong") if begun else ""
+            begun.append(Start(m.name, late, tuple(dict.fromkeys(map(_sensor, late)))))
+    return begun
 
 
 def _sensor(fitted: FittedEffect) -> str:
@@ -142,7 +139,7 @@ _FIELDS = ("machine", "time_s", "channels", "reference_degc", "dead_band_mm", "a
 
 def _found(
     judged: Judgement, number: int, late: Sequence[FittedEffect], mine: Floats, rows: NDArray[np.bool_]
-) -> _Start | None:
+) -> Start | None:
     """The start of one record, if it explains most of the residual there and no simple cause does as well."""
     readings, left = judged.readings, np.where(rows, judged.left, 0.0)
     columns = floor.cleaned(readings, mine)
@@ -163,7 +160,7 @@ def _found(
         return None
     sensors = tuple(dict.fromkeys(n for names in moving for n in names))
     taking_part = tuple(f for f, c in zip(late, mine.T, strict=True) if c.any())
-    return _Start(readings.measurements[number].name, taking_part, sensors)
+    return Start(readings.measurements[number].name, taking_part, sensors)
 
 
 def _simpler(judged: Judgement) -> Iterator[Floats]:
@@ -201,5 +198,6 @@ def _still_moving(judged: Judgement, number: int, fitted: FittedEffect, start_k:
 def _first_change(state: State, sensor: str, tau_s: float) -> float:
     """What a sensor would change in a delay at its first rate, K."""
     time_s, degc = state.time_s - state.time_s[0], state.channels[sensor]
-    soon = max(int(np.searchsorted(time_s, SOON * tau_s)), FEWEST)
-    return float(np.polyfit(time_s[:soon], degc[:soon], 1)[0]) * tau_s
+    soon = slice(max(int(np.searchsorted(time_s, SOON * tau_s)), FEWEST))
+    since = time_s[soon] - time_s[soon].mean()
+    return float(since @ degc[soon]) / max(float(since @ since), 1e-9) * tau_s

@@ -6,7 +6,7 @@ therefore one instrument; tilt is the difference of two radial probes over their
 
 import re
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -24,12 +24,15 @@ from rtec.metrology.instruments.base import (
     Scope,
     Sign,
     point,
+    slope,
     zero,
 )
 from rtec.quantities import Vector
 from rtec.tomlfile import Strict
 
 PROBE = re.compile(r"[a-z][a-z0-9]*")
+FADES_S = (900.0, 2700.0, 8100.0)
+"""Time constants with which what is remembered from before the record fades, s."""
 
 
 class Probe(Strict):
@@ -52,10 +55,13 @@ class SpindleDriftSetup(InstrumentSetup):
     Attributes:
         probe: probes by name; the column of probe `radial1` is `reading_radial1_um`.
         zero: zero of each probe; once, or in every run.
+        start: "unknown" where the machine was warm when the record began: what its parts remember from before fades,
+            and is estimated for each probe. "settled": they had rested.
     """
 
     probe: Annotated[dict[str, Probe], Field(min_length=1)]
     zero: Scope = "setup"
+    start: Literal["settled", "unknown"] = "settled"
 
     @property
     def distance_mm(self) -> float | None:
@@ -86,10 +92,20 @@ class SpindleDrift(AffineInstrument):
         return np.stack([p.sign * point(machine, p.direction, p.offset_mm) for p in probes])
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
-        """Zero of each probe."""
+        """Zero of each probe, and what fades from the first reading on where its start is unknown."""
         del run
-        names = tuple(f"zero {name}" for name in self.setup.probe)
-        return zero(len(state), len(names), self.setup.zero, "um", names)
+        names = tuple(self.setup.probe)
+        zeros = zero(len(state), len(names), self.setup.zero, "um", tuple(f"zero {name}" for name in names))
+        if self.setup.start == "settled":
+            return zeros
+        fades = [np.exp(-(state.time_s - state.time_s[0]) / tau) for tau in FADES_S]
+        starts = [
+            one
+            for row, name in enumerate(names)
+            for k, fade in enumerate(fades, 1)
+            for one in slope(fade, len(names), "setup", "um", f"start {k} of {name}", row)
+        ]
+        return (*zeros, *starts)
 
     def faults(self, machine: Machine) -> list[str]:
         """Names that give no column; two probes that do not determine a tilt."""
