@@ -17,7 +17,7 @@ from rtec.estimation import floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Series
 from rtec.metrology.unread import is_rotary, joined, radians, ranged
-from rtec.wording import ERROR_UNITS, sizes
+from rtec.wording import ERROR_UNITS, listed, sizes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,9 +72,12 @@ def turned_with(judged: Judgement) -> str:
     named = " and ".join(ranged(n, v) for n, v in each.items())
     how = how.replace("the angle", "the angles") if len(each) > 1 else how
     there, here = sizes(judged.residual, after)
+    files = [m.name for m, turned in zip(readings.measurements, angles, strict=True) if turned]
+    of = f" of {listed(files)}" if len(readings.measurements) > 1 else ""
     return (
-        f"The residual depends on {named}, which rtec does not read: {how} lower it from {there} to {here} "
-        f"{ERROR_UNITS[judged.unit]}. rtec has no rotary axes, so that any name of this error would be wrong."
+        f"The residual{of} depends on {named}, which rtec does not read: {how} lower it from {there} to {here} "
+        f"{ERROR_UNITS[judged.unit]}. rtec has no rotary axes, so that any name of that would be wrong, and other "
+        "effects may hide behind it."
     )
 
 
