@@ -46,6 +46,8 @@ MOSTLY = 0.75
 MANY_TIMES = 3.0
 """A number of the machine is hardly more than this many times what it was, or less than the inverse."""
 CHANGED = "a number of the model has changed, or the beam of a laser leans, which does as much"
+AT_ONCE = 0.8
+"""Share of the readings of two columns that are of the same instants, at least, where their probes may be exchanged."""
 FEWEST_RUNS, BY_CHANCE = 3, 0.01
 """With fewer runs nothing tells what differs between them from a drift. Share of the records of which only the zeros,
 or slopes, of the runs wander whose runs one number follows as well by chance."""
@@ -301,7 +303,8 @@ def _exchanged_readings(judged: Judgement, measured: Floats, predicted: Floats, 
     near = max(NEAR_FLOOR * judged.noise_floor, NEAR_FIT * (usual or 0.0))
     alike: dict[tuple[str, str], list[tuple[Series, Series]]] = {}
     for one, two in itertools.combinations(readings.series, 2):
-        if one.source == two.source and one.unit == two.unit:
+        at_once = len(np.intersect1d(one.row, two.row)) > AT_ONCE * max(len(one), len(two))
+        if one.source == two.source and one.unit == two.unit and at_once:
             alike.setdefault((one.column, two.column), []).append((one, two))
     for (first, second), pairs in alike.items():
         for exchanged in [[p] for p in pairs] + ([pairs] if len(pairs) > 1 else []):
