@@ -167,7 +167,7 @@ class _WholeFit:
 def _whole_fit(
     measurements: Sequence[Measurement], wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
 ) -> _WholeFit:
-    """Fit; after a free choice again, where measurements get a scale of their own as theirs contradicts the others."""
+    """Fit, and again where measurements get a scale of their own, which the others contradict, or an unknown start."""
     measurements, turned = _without_turned(measurements, wanted, leave_out_h)
     told: list[OwnScale] = []
     begun: list[Start] = []
