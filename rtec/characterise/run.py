@@ -54,7 +54,7 @@ from rtec.estimation.slipped import slipped
 from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
 from rtec.estimation.warm_start import STEP as BEGIN
-from rtec.estimation.warm_start import Start, cooling, in_words
+from rtec.estimation.warm_start import WarmStart, cooling, in_words
 from rtec.estimation.warmth import EXPANDS, SURE
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
@@ -170,7 +170,7 @@ def _whole_fit(
     """Fit, and again where measurements get a scale of their own, which the others contradict, or an unknown start."""
     measurements, turned = _without_turned(measurements, wanted, leave_out_h)
     told: list[OwnScale] = []
-    begun: list[Start] = []
+    begun: list[WarmStart] = []
     while True:
         given, doubt = _given(measurements, leave_out_h)
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
@@ -202,7 +202,7 @@ def _with_unknown_start(measurement: Measurement) -> Measurement | None:
     return replace(measurement, instrument=replace(measurement.instrument, setup=own))
 
 
-def _of_starts(begun: Sequence[Start], files: Sequence[Measurement]) -> list[Warn]:
+def _of_starts(begun: Sequence[WarmStart], files: Sequence[Measurement]) -> list[Warn]:
     """Warn of records that begin while the machine is warm."""
     opened = {m.name for m in files if getattr(m.instrument.setup, "start", "") == "unknown"}
     told = (

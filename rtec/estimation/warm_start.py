@@ -45,7 +45,7 @@ COLDER_K = 1.0
 
 
 @dataclass(frozen=True)
-class Start:
+class WarmStart:
     """A record that begins while the machine is warm: delayed effects of the model, and sensors that still change."""
 
     name: str
@@ -53,7 +53,7 @@ class Start:
     sensors: tuple[str, ...]
 
 
-def in_words(starts: Sequence[Start], assumed: str) -> str:
+def in_words(starts: Sequence[WarmStart], assumed: str) -> str:
     """What is assumed of records that begin warm."""
     late = list({id(f): f for s in starts for f in s.late}.values())
     sensors = listed(list(dict.fromkeys(n for s in starts for n in s.sensors)))
@@ -92,7 +92,7 @@ def with_starts(model: Model, given: Clean) -> Clean:
     late = [f for f in model.effects if _sensor(f) in readings.machine.sensor_names and "tau" in f.theta]
     if not late:
         return given
-    out, columns = list[Start](), list[Floats]()
+    out, columns = list[WarmStart](), list[Floats]()
     whole = np.stack([_start(judged, f) for f in late], axis=1)
     source = np.concatenate([np.full(len(s), s.source) for s in readings.series])
     for i in range(len(readings.measurements)):
@@ -109,15 +109,15 @@ def with_starts(model: Model, given: Clean) -> Clean:
     return replace(given, readings=opened, starts=in_words(out, "the residual is without what follows from that"))
 
 
-def cooling(model: Model, readings: Readings) -> list[Start]:
+def cooling(model: Model, readings: Readings) -> list[WarmStart]:
     """Records that begin while the sensor of a delayed effect cools."""
-    begun = list[Start]()
+    begun = list[WarmStart]()
     for state, m in zip(readings.states, readings.measurements, strict=True):
         late = tuple(f for f in model.effects if "tau" in f.theta and _sensor(f) in state.channels)
         falls = {f.effect: _first_change(state, _sensor(f), f.theta["tau"]) for f in late}
         late = tuple(f for f in late if falls[f.effect] < -COOLS * float(np.ptp(state.channels[_sensor(f)])))
         if late:
-            begun.append(Start(m.name, late, tuple(dict.fromkeys(map(_sensor, late)))))
+            begun.append(WarmStart(m.name, late, tuple(dict.fromkeys(map(_sensor, late)))))
     return begun
 
 
@@ -139,7 +139,7 @@ _FIELDS = ("machine", "time_s", "channels", "reference_degc", "dead_band_mm", "a
 
 def _found(
     judged: Judgement, number: int, late: Sequence[FittedEffect], mine: Floats, rows: NDArray[np.bool_]
-) -> Start | None:
+) -> WarmStart | None:
     """The start of one record, if it explains most of the residual there and no simple cause does as well."""
     readings, left = judged.readings, np.where(rows, judged.left, 0.0)
     columns = floor.cleaned(readings, mine)
@@ -160,7 +160,7 @@ def _found(
         return None
     sensors = tuple(dict.fromkeys(n for names in moving for n in names))
     taking_part = tuple(f for f, c in zip(late, mine.T, strict=True) if c.any())
-    return Start(readings.measurements[number].name, taking_part, sensors)
+    return WarmStart(readings.measurements[number].name, taking_part, sensors)
 
 
 def _simpler(judged: Judgement) -> Iterator[Floats]:
