@@ -116,15 +116,6 @@ def decide(measurements: Sequence[Measurement], groups: Sequence[Files], takes: 
     return OwnScale(best, 0.0, others, decided=all(lasers[g] and not lasers[best] for g in rivals))
 
 
-def with_slope(measurement: Measurement) -> Measurement | None:
-    """The measurement with a scale of its own, which the fit estimates; None if its instrument cannot have one."""
-    setup = measurement.instrument.setup
-    if getattr(setup, "slope", None) != "none":
-        return None
-    own = setup.model_copy(update={"slope": "setup"})
-    return replace(measurement, instrument=replace(measurement.instrument, setup=own))
-
-
 def _with_scales(normal: Normal, scales: NDArray[np.intp], groups: Sequence[Files]) -> Normal:
     """Normal equations with a column more for each group: the sum of the scales' columns in its measurements."""
     width, size, count = normal.width, normal.gram.shape[1], len(groups)

@@ -20,7 +20,7 @@ from rtec.characterise.candidates import (
 )
 from rtec.characterise.choose import TermChoice, choose, completed
 from rtec.characterise.grouping import apart, joined
-from rtec.characterise.own_scale import REMEDY, OwnScale, own_scale, with_slope
+from rtec.characterise.own_scale import REMEDY, OwnScale, own_scale
 from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
@@ -177,15 +177,16 @@ def _whole_fit(
         files = given.readings.measurements
         begun = cooling(model_of(fit, "", Margin()), given.readings) or begun
         warm = {s.name for s in begun}
-        own = {m.name: opened for m in files if m.name in warm and (opened := _with_unknown_start(m)) is not None}
+        freed = {m.name: _opened(m, "start", "settled", "unknown") for m in files if m.name in warm}
+        own = {name: m for name, m in freed.items() if m is not None}
         found = None
         if not own and wanted is None and screened is not None and choice is not None and len(told) < OWN_SCALES:
             candidates = screened.candidates
             found = own_scale(screened.sources, [candidates[i] for i in choice.chosen], candidates)
         if found is not None:
             told.append(found)
-            freed = [(files[i].name, with_slope(files[i])) for i in found.files if found.decided]
-            own = {name: m for name, m in freed if m is not None}
+            freed = {files[i].name: _opened(files[i], "slope", "none", "setup") for i in found.files if found.decided}
+            own = {name: m for name, m in freed.items() if m is not None}
         if not own:
             break
         measurements = [own.get(m.name, m) for m in measurements]
@@ -193,13 +194,12 @@ def _whole_fit(
     return _WholeFit(given, doubt, fit, screened, choice, (*turned, *scales, *_of_starts(begun, files)))
 
 
-def _with_unknown_start(measurement: Measurement) -> Measurement | None:
-    """The measurement with what fades from its first reading on unknown; None if its instrument cannot have it."""
+def _opened(measurement: Measurement, key: str, closed: str, now: str) -> Measurement | None:
+    """The measurement with an unknown more in its set-up; None if its instrument cannot have it, or has it."""
     setup = measurement.instrument.setup
-    if getattr(setup, "start", None) != "settled":
+    if getattr(setup, key, None) != closed:
         return None
-    own = setup.model_copy(update={"start": "unknown"})
-    return replace(measurement, instrument=replace(measurement.instrument, setup=own))
+    return replace(measurement, instrument=replace(measurement.instrument, setup=setup.model_copy(update={key: now})))
 
 
 def _of_starts(begun: Sequence[WarmStart], files: Sequence[Measurement]) -> list[Warn]:
