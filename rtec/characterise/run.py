@@ -138,7 +138,6 @@ def fitted_model(
 
 def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
     """Exclude outliers, files that contradict the others, and runs whose zero has moved; a warning on the latter."""
-    _check(measurements)
     given = clean(measurements, leave_out_h=leave_out_h).without_ends()
     found = contradiction(Judgement(Model(measurements[0].machine), given))
     if found is None:
@@ -168,6 +167,7 @@ def _whole_fit(
     measurements: Sequence[Measurement], wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
 ) -> _WholeFit:
     """Fit, and again where measurements get a scale of their own, which the others contradict, or an unknown start."""
+    _check(measurements)
     measurements, turned = _without_turned(measurements, wanted, leave_out_h)
     told: list[OwnScale] = []
     begun: list[WarmStart] = []
@@ -221,17 +221,21 @@ def _without_turned(
     others = [m for m in measurements if not any(map(is_rotary, m.unread))]
     if not turned:
         return measurements, []
+
+    def depend(model: Model) -> dict[str, str]:
+        judged = {m.name: Judgement(model, clean([m], model.reference_degc)) for m in turned}
+        return {name: said for name, j in judged.items() if (said := turned_with(j))}
+
     try:
-        of_others = model_of(_whole_fit(others, wanted, leave_out_h, None).fit, "", Margin()) if others else None
+        fitted = _whole_fit(others, wanted, leave_out_h, None)  # none, or a channel of its model is not in a file
+        found, alone = depend(model_of(fitted.fit, "", Margin())), False
     except (ModelError, Fault):
-        of_others = None
-    model = of_others or Model(turned[0].machine)
-    found = {m.name: said for m in turned if (said := turned_with(Judgement(model, clean([m], model.reference_degc))))}
+        found, alone = depend(Model(turned[0].machine)), True
     if not found:
         return measurements, []
-    rest = [m for m in measurements if m.name not in found] if of_others else measurements
+    rest = measurements if alone else [m for m in measurements if m.name not in found]
     names, said = listed(list(found)), next(iter(found.values())).rstrip(".")
-    text = f"{names}: not in the fit, as {said[0].lower()}{said[1:]}" if of_others else f"{names}: {said}"
+    text = f"{names}: {said}" if alone else f"{names}: not in the fit, as {said[0].lower()}{said[1:]}"
     return rest, [Warn("not_read", text, ONE_ANGLE.rstrip("."))]
 
 

@@ -154,7 +154,7 @@ def _found(
         return None
     noise = [f.value for f, s in zip(judged.floors, readings.series, strict=True) if s.source == number]
     size = [float(np.sqrt(np.mean(left[s.part] ** 2))) for s in readings.series if s.source == number]
-    if not any(one > ABOVE_NOISE * floor for one, floor in zip(size, noise, strict=True)):
+    if not any(one > ABOVE_NOISE * its for one, its in zip(size, noise, strict=True)):
         return None
     if any(_squares(left[rows], c[rows]) < AS_GOOD**2 * float(rest @ rest) for c in _simpler(judged)):
         return None

@@ -66,7 +66,7 @@ def test_an_odd_scale_is_told_and_left_out(made: dict[str, float], said: str | N
 
 
 def test_where_two_lasers_differ_it_is_open_which_is_wrong() -> None:
-    """Two lasers along Y at other targets; neither is believed, and the number is told."""
+    """Of two lasers along Y neither is believed more; the warning tells by how much they differ."""
     one = taken("laser_linear", "laser-1", 1, axis="Y", effects=true(14.0, -9.0), **COLD)
     two = taken("laser_linear", "laser-2", 2, axis="Y", effects=true(14.0, -21.5), targets={"step_mm": 17.3}, **COLD)
     warning = characterise([one, two]).warnings[0]

@@ -89,8 +89,8 @@ def test_fit_goes_without_readings_that_follow_an_angle() -> None:
     assert found.warnings[0].code == "not_read"
     assert found.warnings[0].text.startswith("tip-3: not in the fit, as the residual depends on b_deg (0 to 360)")
     assert [m.name for m in characterise([line, right]).measurements] == [line.name, "tip-4"]
-    both = characterise([off])  # nothing else tells: it is said
-    assert both.warnings[0].text.startswith("tip-3: The residual depends on b_deg")
+    only = characterise([off])
+    assert only.warnings[0].text.startswith("tip-3: The residual depends on b_deg")
 
 
 @pytest.mark.parametrize("seed", proof.few(range(3), 1))
