@@ -137,7 +137,10 @@ def of_changes(changed: Sequence[ChangedNumber]) -> str:
 
 
 def _moved(c: ChangedNumber) -> str:
-    moved, off = f"{c.effect} {c.name} from {' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}", c.misread
+    pair = f"{' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}"
+    if c.unit == "s":
+        pair = f"{minutes(c.was)} to {minutes(c.now)}"
+    moved, off = f"{c.effect} {c.name} from {pair}", c.misread
     if off is None or off.shown:
         return moved
     return f"{moved} (or {off.sensor} reads {abs(off.by_k):.2f} K {'more' if off.by_k > 0.0 else 'less'} than then)"

@@ -3,7 +3,9 @@
 A fit of these columns is a refit of the model; its residual is what the model misses.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ Floats = NDArray[np.float64]
 FARTHEST, SURELY = 2.0, 10.0
 """A non-linear parameter, such as a delay, is kept where a refit would change it by over this many times itself, and by
 over this many standard errors of the fit that determined it: the readings then show something else."""
+NONE: Mapping[int, float] = MappingProxyType({})
 STEP = 1e-3
 """Relative step of a non-linear parameter for its derivative."""
 
@@ -37,8 +40,14 @@ class Base:
     names: tuple[str, ...]
 
 
-def base_of(model: Model, readings: Readings) -> Base:
+def base_of(model: Model, readings: Readings, delays: Mapping[int, float] = NONE) -> Base:
     """Columns and prediction of a model.
+
+    Args:
+        model: the model.
+        readings: the readings.
+        delays: delays in s in place of the model's where the columns are worked out, by the number of their effect. The
+            prediction is by the model's own.
 
     Raises:
         MeasurementError: a measurement lacks a channel that the model needs.
@@ -47,9 +56,14 @@ def base_of(model: Model, readings: Readings) -> Base:
     names: list[str] = []
     predicted = np.zeros(len(readings))
     farthest: list[float] = []
-    for fitted in model.effects:
+    there = np.zeros(len(readings))
+    for i, fitted in enumerate(model.effects):
         columns, slopes, value = effect_columns(fitted, readings)
         predicted += value
+        if i in delays:
+            moved = replace(fitted, theta={**fitted.theta, "tau": delays[i]})
+            columns, slopes, value = effect_columns(moved, readings)
+        there += value
         parts += [columns, slopes]
         names += [f"{fitted.label} {n}" for n in (*fitted.values, *fitted.theta)]
         farthest += [np.inf] * columns.shape[1] + [_farthest(fitted, n) for n in fitted.theta]
@@ -59,11 +73,11 @@ def base_of(model: Model, readings: Readings) -> Base:
     farthest += [np.inf] * readings.setup.shape[1]
     seen = np.abs(whole).max(axis=0, initial=0.0) > 0.0
     if np.isfinite(farthest).any():
-        left = readings.values - predicted
+        left = readings.values - there
         flat = without_nuisance(readings, np.column_stack([whole[:, seen], left]))
-        moved = np.zeros(len(farthest))
-        moved[seen] = solve(flat[:, :-1], flat[:, -1])
-        seen &= np.abs(moved) <= np.array(farthest)
+        steps = np.zeros(len(farthest))
+        steps[seen] = solve(flat[:, :-1], flat[:, -1])
+        seen &= np.abs(steps) <= np.array(farthest)
     return Base(whole[:, seen], predicted, tuple(n for n, s in zip(names, seen, strict=True) if s))
 
 

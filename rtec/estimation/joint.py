@@ -19,6 +19,7 @@ from rtec.effects.geometry import Scale
 from rtec.effects.reversal import Backlash, BacklashTemperature
 from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError, ModelError
+from rtec.estimation.changed_delay import Delays, changed_delays, late
 from rtec.estimation.columns import slope
 from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gls import HeldOut, along_runs, held_out, inverse, solve
@@ -126,6 +127,7 @@ class _Work:
         start: the effects with their current numbers.
         earlier: the model as earlier readings determined it: the first of the effects; None for none.
         since: whether what is new began after these, so that no known number contains a part of it.
+        delays: of effects of which these readings show another one, by their number.
     """
 
     effects: Sequence[Effect]
@@ -133,7 +135,13 @@ class _Work:
     start: Sequence[FittedEffect]
     earlier: Model | None
     since: bool = False
+    delays: Delays = field(default_factory=dict)
     still: dict[int, Floats] = field(default_factory=dict)
+
+    @property
+    def thetas(self) -> list[dict[str, float]]:
+        """Non-linear parameters of each effect at which a search begins."""
+        return [dict(f.theta) for f in late(self.start, self.delays)]
 
     @property
     def known(self) -> Sequence[FittedEffect]:
@@ -228,6 +236,10 @@ def changed_between(model: Model, fit: Joint, readings: Readings) -> tuple[Chang
                 heat = warmer(model, readings, was.effect, new - old)
                 off = misread(model, readings, was.effect, new - old)
                 out.append(ChangedNumber(was.label, p.name, p.unit, old, new, error, heat, off))
+        if "tau" in now.theta and i not in fit.settled:
+            old, new, error = was.theta["tau"], now.theta["tau"], now.errors.get("tau", 0.0)
+            if abs(new - old) > FAR * math.hypot(was.errors.get("tau", math.inf), error):
+                out.append(ChangedNumber(was.label, "tau", "s", old, new, error))
     return tuple(out)
 
 
@@ -252,7 +264,9 @@ def joint_fit(
     Raises:
         MeasurementError: a channel that an effect needs was not recorded.
     """
-    work = _Work([f.effect for f in effects], readings, effects, earlier)
+    refit = search and earlier is not None and len(effects) == len(earlier.effects)
+    delays = changed_delays(earlier, readings) if refit and earlier is not None else {}
+    work = _Work([f.effect for f in effects], readings, effects, earlier, delays=delays)
     free = _free(effects, readings) if search else []
     made = _refereed(work, free, least)
     if len(work.parts) == len(work.followed):
@@ -345,7 +359,7 @@ def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[
 def _weighed(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[float, ...]) -> _Numbers:
     """Generalised least squares, with the noise estimated in the same fit."""
     readings = work.readings
-    thetas = [dict(f.theta) for f in work.start]
+    thetas = work.thetas
     columns = work.columns(thetas)
     whitener = find_noise(readings, columns, least=least)
     prior, loose = _known(work, whitener, columns)
@@ -364,7 +378,7 @@ def _weighed(work: _Work, free: Sequence[tuple[int, Parameter]], least: tuple[fl
 def _ordinary(work: _Work, weighed: _Numbers) -> _Numbers:
     """Ordinary robust least squares."""
     readings, prior, free = work.readings, weighed.prior, weighed.free
-    thetas = [dict(f.theta) for f in work.start]
+    thetas = work.thetas
     columns = work.columns(thetas)
     plain, values = plain_fit(readings, weighed.noise, columns)
     for _ in range(ROUNDS if free else 1):
@@ -623,10 +637,12 @@ def _looseness(work: _Work, by_all: Plain, whitener: Whitener, columns: Floats) 
     changes both. What follows a temperature that was one and the same comes after a shape without it that does as well.
     """
     known = len(work.known)
-    loose = [1.0] * known + [LOOSE] * (len(work.start) - known)
+    loose = [LOOSE if i in work.delays else 1.0 for i in range(known)] + [LOOSE] * (len(work.start) - known)
     # One that a new effect follows changes by that.
     followed = {place for place, _ in work.followed}
-    unchanged = {i for i, f in enumerate(work.known) if f.errors and followed.isdisjoint(_places(work, [i]))}
+    unchanged = {
+        i for i, f in enumerate(work.known) if f.errors and loose[i] == 1.0 and followed.isdisjoint(_places(work, [i]))
+    }
     both = [_Evidence.of(work, by, columns) for by in (by_all, whitener)]
     behind = [CHANGED * _at_one_temperature(work.readings, f.effect) for f in work.known]
     while unchanged:

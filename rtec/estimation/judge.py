@@ -72,7 +72,7 @@ class Judgement:
     @cached_property
     def base(self) -> Base:
         """The model's columns and prediction."""
-        return base_of(self.model, self.readings)
+        return base_of(self.model, self.readings, self.given.delays)
 
     @cached_property
     def left(self) -> Floats:
@@ -114,6 +114,19 @@ class Judgement:
     def left_by(self, columns: Floats) -> float:
         """Root mean square of the residual with columns, (m, k), fitted to it."""
         return self.pooled(self.left - columns @ solve(columns, self.left))
+
+    def left_beside(self, columns: Floats) -> float:
+        """Root mean square of the residual with columns, (m, k), fitted beside the model's own numbers."""
+        values, both = self._values, np.hstack([self._own, columns])
+        return self.pooled(values - both @ solve(both, values))
+
+    @cached_property
+    def _own(self) -> Floats:
+        return floor.cleaned(self.readings, self.base.columns)
+
+    @cached_property
+    def _values(self) -> Floats:
+        return floor.cleaned(self.readings, self.readings.values)
 
     @cached_property
     def residual(self) -> float:
@@ -159,8 +172,12 @@ class Judgement:
     def most_moved(self) -> ChangedNumber | None:
         """The number whose refit by ordinary least squares changes the prediction most; None where there is none.
 
-        Nor where it changes the prediction by more than is to be explained: then another number takes that back.
+        Nor where it changes the prediction by more than is to be explained: then another number takes that back. A
+        delay that has changed comes first.
         """
+        for i, delay_s in self.given.delays.items():
+            f = self.model.effects[i]
+            return ChangedNumber(f.label, "tau", "s", f.theta["tau"], delay_s, math.nan)
         out, most, at, names = None, 0.0, 0, self.base.names
         for f in self.model.effects:
             units = {p.name: p.unit for p in f.effect.coefficients(self.readings.machine)}
@@ -212,12 +229,11 @@ class Judgement:
 
     def _refitted_to(self, kept: Collection[int]) -> tuple[Readings, Floats]:
         """What some effects leave of the readings, and the columns of all others, (m, p)."""
-        model, effects = self.model, list(enumerate(self.model.effects))
-        known, others = (
-            replace(model, effects=tuple(f for i, f in effects if (i in kept) is k)) for k in (True, False)
-        )
+        effects, delays = self.model.effects, self.given.delays
+        mine, others = ([i for i in range(len(effects)) if (i in kept) is k] for k in (True, False))
+        known, rest = (replace(self.model, effects=tuple(effects[i] for i in part)) for part in (mine, others))
         alone = replace(self.readings, values=self.readings.values - base_of(known, self.readings).predicted)
-        return alone, base_of(others, self.readings).columns
+        return alone, base_of(rest, alone, {k: delays[i] for k, i in enumerate(others) if i in delays}).columns
 
     @cached_property
     def by_measurement(self) -> tuple["MeasurementMet", ...]:

@@ -14,8 +14,8 @@ but no law is fitted to one or two targets at an end that stand out (`end_target
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +100,8 @@ class Clean:
         ends: end targets that stand out among the readings that count.
         starts: in words, which records begin while the machine is warm: there, what a delayed effect remembers from
             before is among the unknowns of `readings`. Empty where none does.
+        delays: delays in s of the model's effects that these readings show in place of the model's, by the number of
+            the effect; a refit begins there.
     """
 
     readings: Readings
@@ -107,6 +109,7 @@ class Clean:
     kept: Bools
     ends: tuple[EndTargets, ...] = ()
     starts: str = ""
+    delays: Mapping[int, float] = field(default_factory=dict)
 
     def smoothed(self) -> Readings:
         """The same readings with temperatures smoothed in time."""

@@ -16,9 +16,8 @@ from rtec.estimation.candidates import simple_effects
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import minutes
-from rtec.estimation.outliers import Clean, clean
+from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
-from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.wording import listed
 
@@ -74,15 +73,6 @@ class _Started(State):
         """As of the state, and a start that fades, (n,)."""
         fades = np.exp(-(self.time_s - self.time_s[0]) / float(np.asarray(tau_s)))
         return np.asarray(super().lagged(value, tau_s) + fades)
-
-
-def given_to(model: Model, measurements: Sequence[Measurement]) -> Clean:
-    """Readings that count, with unknown starts of the model's delayed effects in records that begin warm.
-
-    Raises:
-        MeasurementError: as `clean`.
-    """
-    return with_starts(model, clean(measurements, model.reference_degc))
 
 
 def with_starts(model: Model, given: Clean) -> Clean:

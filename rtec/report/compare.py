@@ -95,7 +95,7 @@ def _lead(c: Comparison) -> str:
     more = f" The other {'residual is' if others == 1 else f'{others} residuals are'} in the table." if others else ""
     asked = next((f" {sentence(d.words)}" for d in c.doubts if d.blames_no_effect), "")
     unread = unread_beside(c.judged.readings.measurements, c.doubts)
-    warm = "".join(f" {d.words}" for d in c.doubts if d.kind == "warm_start")
+    warm = "".join(f" {d.words}" for d in c.doubts if d.kind in ("warm_start", "changed_delay"))
     return _verdict(first, c) + asked + more + warm + left_out(c.judged.given.wrong) + unread
 
 

@@ -17,7 +17,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
-from rtec.estimation import warm_start
+from rtec.estimation.given import given_to
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
@@ -89,7 +89,7 @@ def known() -> Model:
 
 
 def warm(model: Model, *records: Measurement) -> str:
-    return warm_start.given_to(model, records).starts
+    return given_to(model, records).starts
 
 
 @pytest.mark.parametrize("from_h", [4.6, 5.5, 10.0])

@@ -21,12 +21,12 @@ from rtec.errors import MeasurementError
 from rtec.estimation.columns import effect_columns, ordered
 from rtec.estimation.flexible import flexible_columns, unexplained
 from rtec.estimation.floor import Floor, flattened, floors, tails_of
+from rtec.estimation.given import given_to
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
 from rtec.estimation.outliers import outlier_words
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.visible import moves
-from rtec.estimation.warm_start import given_to
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model

@@ -9,7 +9,7 @@ Kind = Literal[
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
     "unexplained", "two_levels", "few_targets", "too_few", "cycle", "not_read", "swapped_axes", "wrong_direction",
     "wrong_rate", "far_temperatures", "outside_travel", "scatter", "beyond_materials", "swapped_readings",
-    "beam_in_air", "sensor_offset", "warm_start",
+    "beam_in_air", "sensor_offset", "warm_start", "changed_delay",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {

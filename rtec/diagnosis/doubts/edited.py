@@ -146,8 +146,7 @@ def as_in_the_fit(judged: Judgement, found: Edit) -> bool:
     machine = judged.model.machine
     places = {c for a in machine.axes for c in a.moving_channels}
     fixed = [judged.columns_of(e) for e in simple_effects(judged.readings) if set(e.channels(machine)) <= places]
-    own = floor.cleaned(readings, judged.base.columns)
-    return not any(judged.left_by(np.hstack([own, c])) < FAR_LESS * found.residual for c in fixed)
+    return not any(judged.left_beside(c) < FAR_LESS * found.residual for c in fixed)
 
 
 def _like_refit(judged: Judgement, found: Edit) -> bool:
@@ -334,17 +333,17 @@ def _effect_does(judged: Judgement, found: Edit) -> bool:
     """
     if _as_well(judged, found.residual):
         return True
-    exchanged, own = _refitted(judged, found), floor.cleaned(judged.readings, judged.base.columns)
-    beside = (np.hstack([own, judged.columns_of(e)]) for e in simple_effects(judged.readings))
-    return any(_less_above(judged.left_by(b), exchanged, judged.noise_floor) for b in beside)
+    exchanged = _refitted(judged, found)
+    beside = (judged.left_beside(judged.columns_of(e)) for e in simple_effects(judged.readings))
+    return any(_less_above(left, exchanged, judged.noise_floor) for left in beside)
 
 
 def _refitted(judged: Judgement, found: Edit) -> float:
     """Residual with some channels replaced and all numbers of the model refitted."""
     readings = judged.readings
     changed = readings.with_states([with_channels(s, found.channels) for s in readings.states])
-    there = base_of(judged.model, changed)
-    own, left = (floor.cleaned(changed, v) for v in (there.columns, readings.values - there.predicted))
+    there = base_of(judged.model, changed, judged.given.delays)
+    own, left = (floor.cleaned(changed, v) for v in (there.columns, readings.values))
     return judged.pooled(left - own @ solve(own, left))
 
 
@@ -361,15 +360,15 @@ def _exchanged_as_in_the_fit(judged: Judgement, found: Edit) -> bool:
     exchanged = _refitted(judged, found)
     if exchanged > NEAR_FIT * max(usual, judged.noise_floor):
         return False
-    own, machine = floor.cleaned(judged.readings, judged.base.columns), judged.model.machine
+    machine = judged.model.machine
     sensors = set(machine.sensor_names)
     for one in library(judged.readings)[0]:
         effect = one.effect
         warm = bool(sensors & set(effect.channels(machine)))
         if len(effect.coefficients(machine)) > 1 or (effect.nonlinear(machine) and not warm):
             continue
-        beside = (np.hstack([own, judged.columns_of(effect, theta)]) for theta in one.thetas)
-        if any(AS_GOOD * judged.left_by(b) < exchanged for b in beside):
+        beside = (judged.left_beside(judged.columns_of(effect, theta)) for theta in one.thetas)
+        if any(AS_GOOD * left < exchanged for left in beside):
             return False
     return True
 
@@ -381,15 +380,15 @@ def _delay_does(judged: Judgement, found: Edit) -> bool:
     both.
     """
     readings, machine = judged.readings, judged.model.machine
-    own, sensors = floor.cleaned(readings, judged.base.columns), set(machine.sensor_names)
+    sensors = set(machine.sensor_names)
     for effect in (c.effect for c in library(readings)[0]):
         delays = effect.nonlinear(machine)
         if not sensors & set(effect.channels(machine)) or len(delays) > 1 or any(p.unit != "s" for p in delays):
             continue
         thetas = [{p.name: v} for p in delays for v in p.grid] or [{}]
         columns = [judged.columns_of(effect, t) for t in thetas]
-        beside = [np.hstack([own, *pair]) for pair in itertools.pairwise(columns)] or [np.hstack([own, *columns])]
-        if any(judged.left_by(b) < ALIKE * found.residual for b in beside):
+        beside = [np.hstack(pair) for pair in itertools.pairwise(columns)] or columns
+        if any(judged.left_beside(b) < ALIKE * found.residual for b in beside):
             return True
     return False
 

@@ -4,7 +4,7 @@ Those that are `fatal` precede every answer, and no effect is named beside a con
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,13 @@ from rtec.diagnosis.doubts.not_read import follows
 from rtec.diagnosis.doubts.own_scale import own_scale_of
 from rtec.effects import State
 from rtec.estimation import floor
+from rtec.estimation.changed_delay import MOVED
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.cycles import cycles
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
+from rtec.estimation.noise import minutes
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.rotary import STEP as ONE_ANGLE
@@ -35,7 +37,7 @@ from rtec.estimation.warm_start import STEP as BEGIN
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.model import Model
 from rtec.model.history import steps_of
-from rtec.wording import ERROR_UNITS, percent, significant, sizes
+from rtec.wording import ERROR_UNITS, percent, significant, sizes, two_numbers
 
 Floats = NDArray[np.float64]
 
@@ -90,13 +92,26 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += _slipped(judged)
     step = f"{NEXT[0].upper()}{NEXT[1:]}."
     found += [Doubt("end_targets", f"{ends.message}.", step, fatal=True) for ends in judged.given.ends]
-    if not found:
+    if not found and not judged.given.delays:
         found += _disagree(judged)
     found += [d for d in impossible if not d.fatal]
     found += [Doubt("one_pass", p.message, p.next_step, fatal=p.one_way) for p in one_pass(readings)]
     found += [Doubt("warm_start", judged.given.starts, BEGIN)] if judged.given.starts else []
+    found += _changed_delays(judged)
     found += _few_runs(readings)
     return tuple(found)
+
+
+def _changed_delays(judged: Judgement) -> Iterator[Doubt]:
+    """Delays of the model that are others in these readings."""
+    for i, delay_s in judged.given.delays.items():
+        f = judged.model.effects[i]
+        here, refitted = two_numbers(judged.residual, judged.refitted)
+        message = (
+            f"{f.label} lags by {minutes(delay_s)} here, and by {minutes(f.theta['tau'])} in the model: with the delay "
+            f"and its numbers refitted the residual falls from {here} to {refitted} {ERROR_UNITS[judged.unit]}."
+        )
+        yield Doubt("changed_delay", message, MOVED.format(sensor=getattr(f.effect, "sensor", "its sensor")))
 
 
 def _turned(judged: Judgement) -> list[Doubt]:

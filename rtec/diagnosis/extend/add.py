@@ -29,6 +29,7 @@ from rtec.effects.registry import check_effect
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.floor import Unit
+from rtec.estimation.given import given_to
 from rtec.estimation.gls import held_out, solve, without_nuisance
 from rtec.estimation.joint import ChangedNumber, Joint, changed_between, joint_fit
 from rtec.estimation.judge import Judgement
@@ -37,7 +38,6 @@ from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.unmeasured import UnmeasuredMotion, unmeasured_motions
-from rtec.estimation.warm_start import given_to
 from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
 from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement

@@ -32,10 +32,10 @@ from rtec.diagnosis.usable import check_enough
 from rtec.diagnosis.words import named, of_warmth
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
+from rtec.estimation.given import given_to
 from rtec.estimation.judge import Judgement
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean
-from rtec.estimation.warm_start import given_to
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model

@@ -11,9 +11,9 @@ from rtec.diagnosis.search.picture import of_effect
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.estimation import floor
+from rtec.estimation.given import given_to
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
-from rtec.estimation.warm_start import given_to
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 

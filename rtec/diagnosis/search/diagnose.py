@@ -74,12 +74,12 @@ from rtec.diagnosis.search.unnamed import (
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
+from rtec.estimation.given import given_to
 from rtec.estimation.gls import along_runs, held_out_gain, solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean
 from rtec.estimation.visible import behind_arm, read_directly
-from rtec.estimation.warm_start import given_to
 from rtec.estimation.warmth import EXPANDS
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit

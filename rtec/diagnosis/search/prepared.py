@@ -51,7 +51,7 @@ def prepare(model: Model, given: Clean, earlier: bool = False) -> Prepared:
         earlier: whether the model's numbers come from other readings although it names these.
     """
     readings = given.smoothed()
-    base = base_of(model, readings)
+    base = base_of(model, readings, given.delays)
     left = floor.cleaned(readings, readings.values - base.columns @ solve(base.columns, readings.values))
     whitener = find_noise(readings, base.columns, least=least_noise(readings, left))
     again = any(m.fingerprint in model.measurements.values() for m in readings.measurements)
