@@ -36,7 +36,6 @@ NEAR = 1.25
 """With them the residual is within this factor of the noise floor."""
 AS_GOOD = 1.1
 """A new number does as well if its residual is within this factor."""
-MOVED = "`rtec improve` refits it. Check first that {sensor} is where it was: a sensor that was moved lags otherwise."
 FEWEST = 8
 """Readings for each number of the refit, at least."""
 

@@ -213,7 +213,9 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
             found = _bursts(off, known, _sigmas(off, sigma, s.run, wrong, kind), linked, near, still, kind)
             if seen is flat:
                 found &= _sets_off(rough, off, found)
-            if not still:
+            if still:
+                found &= ~_on_the_way(np.where(wrong, np.nan, values), off, found, linked)
+            else:
                 found &= ~np.logical_or.reduce([_again(off, p, found) for p in (place, *near)])
             if not kind.wild:
                 far |= found
@@ -248,6 +250,25 @@ class _Kind:
     def signs(self, off: Floats, far: Bools) -> Floats:
         """Common sign of consecutive readings, (n,), or 1 where either sign counts; 0 if not far."""
         return np.where(far, 1.0 if self.wild else np.sign(off), 0.0)
+
+
+def _on_the_way(values: Floats, off: Floats, found: Bools, linked: Ints) -> Bools:
+    """Suspect readings near the straight line from the reading before their burst to the one after it, (n,).
+
+    A sensor jumps where a spindle stops, and what lags behind it does not: only a fit by the sensor deviates there.
+
+    Args:
+        values: readings, NaN where they are known to be wrong, (n,).
+        off: deviation from the neighbours, (n,).
+        found: suspect readings, (n,).
+        linked: as of `_linked`.
+    """
+    out, edges = np.zeros(len(found), dtype=bool), np.flatnonzero(np.diff(found, prepend=False, append=False))
+    for a, b in edges.reshape(-1, 2).tolist():
+        if a > 0 and b < len(values) and linked[a - 1] == linked[b]:
+            line = np.interp(np.arange(a, b), [a - 1, b], values[[a - 1, b]])
+            out[a:b] = bool((np.abs(values[a:b] - line) < HALF * np.abs(off[a:b])).all())
+    return out
 
 
 def _sets_off(rough: Floats, off: Floats, found: Bools) -> Bools:

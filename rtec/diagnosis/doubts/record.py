@@ -4,7 +4,7 @@ Those that are `fatal` precede every answer, and no effect is named beside a con
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from rtec.diagnosis.doubts.not_read import follows
 from rtec.diagnosis.doubts.own_scale import own_scale_of
 from rtec.effects import State
 from rtec.estimation import floor
-from rtec.estimation.changed_delay import MOVED
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.cycles import cycles
 from rtec.estimation.end_targets import NEXT
@@ -37,7 +36,7 @@ from rtec.estimation.warm_start import STEP as BEGIN
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.model import Model
 from rtec.model.history import steps_of
-from rtec.wording import ERROR_UNITS, percent, significant, sizes, two_numbers
+from rtec.wording import ERROR_UNITS, listed, percent, significant, sizes, two_numbers
 
 Floats = NDArray[np.float64]
 
@@ -102,16 +101,22 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     return tuple(found)
 
 
-def _changed_delays(judged: Judgement) -> Iterator[Doubt]:
-    """Delays of the model that are others in these readings."""
-    for i, delay_s in judged.given.delays.items():
-        f = judged.model.effects[i]
-        here, refitted = two_numbers(judged.residual, judged.refitted)
-        message = (
-            f"{f.label} lags by {minutes(delay_s)} here, and by {minutes(f.theta['tau'])} in the model: with the delay "
-            f"and its numbers refitted the residual falls from {here} to {refitted} {ERROR_UNITS[judged.unit]}."
-        )
-        yield Doubt("changed_delay", message, MOVED.format(sensor=getattr(f.effect, "sensor", "its sensor")))
+def _changed_delays(judged: Judgement) -> list[Doubt]:
+    """A doubt about delays of the model that are others in these readings."""
+    changed = [(judged.model.effects[i], delay_s) for i, delay_s in judged.given.delays.items()]
+    if not changed:
+        return []
+    each = [f"{f.label} lags by {minutes(s)} here, and by {minutes(f.theta['tau'])} in the model" for f, s in changed]
+    here, refitted = two_numbers(judged.residual, judged.refitted)
+    it = "that" if len(changed) == 1 else "these"
+    message = (
+        f"{'; '.join(each)}. Refitted with {it}, the model leaves {refitted} in place of {here} "
+        f"{ERROR_UNITS[judged.unit]}."
+    )
+    sensors = listed(list(dict.fromkeys(str(getattr(f.effect, "sensor", "the sensor")) for f, _ in changed)))
+    is_ = "is where it was" if " and " not in sensors else "are where they were"
+    step = f"`rtec improve` refits it. Check first that {sensors} {is_}: a sensor that was moved lags otherwise."
+    return [Doubt("changed_delay", message, step)]
 
 
 def _turned(judged: Judgement) -> list[Doubt]:
