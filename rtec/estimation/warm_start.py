@@ -36,6 +36,8 @@ FARTHEST, RATES = 3.0, 10.0
 the sensor would change in a delay at its first rate."""
 AS_GOOD = 1.1
 """A simple cause does as well if its residual is within this factor."""
+START = "start "
+"""So begin the names of the unknowns among those of the set-up."""
 STEP = "Begin records while the machine rests, before spindle and axes run."
 COOLS = 0.2
 """A sensor that falls by this share of its span in a delay, at its first rate, cools."""
@@ -94,9 +96,16 @@ def with_starts(model: Model, given: Clean) -> Clean:
     if not out:
         return given
     setup = np.hstack([readings.setup, *columns])
-    names = tuple(f"start {k} of {w.name}" for w, c in zip(out, columns, strict=True) for k in range(c.shape[1]))
+    names = tuple(f"{START}{k} of {w.name}" for w, c in zip(out, columns, strict=True) for k in range(c.shape[1]))
     opened = replace(readings, setup=setup, setup_names=(*readings.setup_names, *names))
     return replace(given, readings=opened, starts=in_words(out, "the residual is without what follows from that"))
+
+
+def without_starts(readings: Readings) -> tuple[Readings, Floats]:
+    """Readings without unknown starts, and the columns of these, (m, k)."""
+    begun = np.array([n.startswith(START) for n in readings.setup_names], dtype=np.bool_)
+    names = tuple(n for n, b in zip(readings.setup_names, begun, strict=True) if not b)
+    return replace(readings, setup=readings.setup[:, ~begun], setup_names=names), readings.setup[:, begun]
 
 
 def cooling(model: Model, readings: Readings) -> list[WarmStart]:

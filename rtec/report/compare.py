@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
 AT_FLOOR = 1.1
 WORSE = "with the model the error is larger than without one"
+MEASURED = "Measured: less the zero of the instrument."
 EXPLAINED = "Explained: share of its mean square, without the noise."
 
 
@@ -67,13 +68,7 @@ def _brief(c: Comparison) -> Table:
         for i in c.items
     ]
     head = ("measurement", "measured", "residual", "noise floor", "explained", "unit")
-    return Table(head, rows, f"Root mean squares. {_measured(c)} {EXPLAINED}", (0, 5))
-
-
-def _measured(c: Comparison) -> str:
-    """What the measured values are without."""
-    start = " and what follows from the unknown start" if c.judged.given.starts else ""
-    return f"Measured: less the zero of the instrument{start}."
+    return Table(head, rows, f"Root mean squares. {MEASURED} {EXPLAINED}", (0, 5))
 
 
 def _digits(c: Comparison) -> int:
@@ -187,7 +182,7 @@ def _table(c: Comparison) -> Section:
         for i in c.items
     ]
     head = ("measurement", "readings", "measured", "predicted", "residual", "noise floor", "explained", "unit")
-    caption = f"Root mean square / largest. {_measured(c)} {EXPLAINED}"
+    caption = f"Root mean square / largest. {MEASURED} {EXPLAINED}"
     bad = [f"{_name(i, c)}: {WORSE}." for i in c.items if _worse(i)]
     none = [
         f"{_name(i, c)}: nothing to explain; the readings are hardly more than noise."

@@ -195,3 +195,15 @@ def test_what_lags_where_a_spindle_starts_and_stops_is_no_wrong_reading(
     values[60] += 12.0
     spoilt = replace(m, readings={**m.readings, "reading_z_um": values})
     assert [(w.column, w.row) for w in clean([spoilt]).wrong] == [("reading_z_um", 60)]
+
+
+def test_compare_draws_the_unknown_start_as_a_part_of_the_prediction() -> None:
+    """Without it a record of 4 µm seemed to have 0.6 µm measured. Oracle: the readings, less their mean alone."""
+    late = day(3, 5.5)
+    found = compare(known(), [late])
+    z = late.readings["reading_z_um"]
+    (item,) = [i for i in found.items if i.column == "reading_z_um"]
+    assert item.measured.rms == pytest.approx(float(np.std(z)), rel=0.01)
+    assert item.left.rms == pytest.approx(NOISE_UM, rel=0.2)
+    assert "unknown start" in [p.label for p in item.parts]
+    np.testing.assert_allclose(found.traces.left, found.judged.left, atol=1e-9)

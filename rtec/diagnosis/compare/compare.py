@@ -22,11 +22,13 @@ from rtec.estimation.columns import effect_columns, ordered
 from rtec.estimation.flexible import flexible_columns, unexplained
 from rtec.estimation.floor import Floor, flattened, floors, tails_of
 from rtec.estimation.given import given_to
+from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
 from rtec.estimation.outliers import outlier_words
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.visible import moves
+from rtec.estimation.warm_start import without_starts
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -41,6 +43,8 @@ WORSE = 2.0
 """A model makes the error worse where its residual has this many times the mean square of the readings."""
 SURELY = 1.5
 """Noise alone never gives a residual of this many times the floor."""
+UNKNOWN_START = "unknown start"
+"""What follows from the states of delayed effects at the first reading, among the parts of a prediction."""
 NO_ARM, NOTHING = 1e-12, 1e-9
 SLOW = 0.5
 """A slow drift above this many times the floor is reported."""
@@ -116,11 +120,17 @@ def _traces(model: Model, readings: Readings) -> Traces:
     names = [f.label for f in model.effects]
     labels = [n if names.count(n) == 1 else f"{n} #{names[: i + 1].count(n)}" for i, n in enumerate(names)]
     parts = {}
+    known, starts = without_starts(readings)
     for label, fitted in zip(labels, model.effects, strict=True):
         columns, _, _ = effect_columns(fitted, readings)
-        parts[label] = flattened(readings, columns @ ordered(fitted, readings))
+        parts[label] = flattened(known, columns @ ordered(fitted, readings))
     predicted = np.sum(list(parts.values()), axis=0) if parts else np.zeros(len(readings))
-    return Traces(readings, flattened(readings, readings.values), predicted, parts)
+    measured = flattened(known, readings.values)
+    if starts.shape[1]:
+        begun = flattened(known, starts)
+        parts[UNKNOWN_START] = begun @ solve(begun, measured - predicted)
+        predicted = predicted + parts[UNKNOWN_START]
+    return Traces(readings, measured, predicted, parts)
 
 
 def _of_chance(readings: Readings, left: Floats, flexible: Whitener, plain: Whitener) -> Whitener:
@@ -194,10 +204,11 @@ def _of_fixed_links(there: Sequence[str], machine: Machine) -> list[str]:
 
 def _parts(model: Model, traces: Traces, s: Series) -> tuple[EffectShare, ...]:
     out = []
-    for (label, values), fitted in zip(traces.parts.items(), model.effects, strict=True):
+    components = (*(f.effect.component for f in model.effects), "")  # an unknown start is of none
+    for (label, values), component in zip(traces.parts.items(), components, strict=False):
         size = size_of(values[s.part])
         if size.rms > NOTHING:
-            out.append(EffectShare(label, fitted.effect.component, size.rms, size.most))
+            out.append(EffectShare(label, component, size.rms, size.most))
     return tuple(sorted(out, key=lambda p: -p.rms))
 
 

@@ -86,7 +86,7 @@ class EffectShare:
 
     Attributes:
         label: effect, component, and what it depends on.
-        component: component error that it feeds.
+        component: component error that it feeds; empty for an unknown start.
         rms, most: root mean square and largest size, µm or µrad.
     """
 
