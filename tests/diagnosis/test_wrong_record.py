@@ -131,6 +131,15 @@ def test_a_part_before_its_sensor_may_be_the_clock() -> None:
     assert d.findings[0].effect.effect == "axis_expansion"
 
 
+@pytest.mark.parametrize("hours", [1.0, 2.0])
+def test_temperatures_that_are_late_by_whole_hours_are_of_another_time_zone(hours: float) -> None:
+    by_hand = Model(small_machine(), effects(*KNOWN), name="by hand")
+    d = diagnose(by_hand, [late(day(KNOWN, 12), 3600.0 * hours)], draws=50)
+    assert [(x.kind, x.fatal) for x in d.doubts] == [("late_temperatures", True)]
+    assert "by time zone or summer time" in d.sentence
+    assert not d.group
+
+
 @pytest.mark.parametrize("tau_s", [400, 1500, 4000])
 def test_a_delay_that_a_model_by_hand_lacks_is_no_clock(tau_s: float) -> None:
     by_hand = Model(small_machine(), effects(*KNOWN), name="by hand")

@@ -118,7 +118,8 @@ def _by_another_clock(judged: Judgement, found: Edit, usual: float | None) -> Ed
     near = NEAR_FLOOR * judged.noise_floor if usual is None else math.inf
     if fitted or found.residual > min(BETTER * judged.residual, near):
         return None
-    if not _delay_does(judged, found):
+    # Hardly any sensor is late by whole hours.
+    if (found.whole_hours and found.rival) or not _delay_does(judged, found):
         return found
     return replace(found, unless=found.rival) if found.rival else None
 

@@ -39,6 +39,8 @@ FAR_LESS = 0.75
 THIN, HOPEFUL = 200, 0.95
 """Fewest readings for the first search of the place. It goes on only where that leaves less than this share of the
 residual: a fault of the record leaves far less."""
+WHOLE_HOUR = 0.05
+"""A clock is off by a whole number of hours to within this part of one."""
 LATE, LATES = 1 / 3, 41
 """How far the clock of the temperatures may be off, as a share of the record, and number of instants in the grid."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
@@ -83,6 +85,7 @@ class Edit:
         unless: what else does the same, in words; empty for nothing.
         rival: what else does the same if an effect describes the readings as well; empty for that effect alone.
         of_unit: whether it multiplies a channel by a factor that a unit has.
+        whole_hours: whether it moves a clock by a whole number of hours, as a time zone does.
     """
 
     residual: float
@@ -95,6 +98,7 @@ class Edit:
     unless: str = ""
     rival: str = ""
     of_unit: bool = False
+    whole_hours: bool = False
 
     @property
     def fatal(self) -> bool:
@@ -479,15 +483,17 @@ class Edits:
         best = float(grid[np.argmin(coarse)])
         step = float(grid[1] - grid[0])
         by = float(minimize_scalar(left, bounds=(best - step, best + step), method="bounded").x)
-        way = "earlier" if by > 0.0 else "later"
+        way, hours = "earlier" if by > 0.0 else "later", abs(by) / 3600.0
+        whole = round(hours) >= 1 and abs(hours - round(hours)) < WHOLE_HOUR
         yield Edit(
             left(by),
             "late_temperatures",
-            f"all temperatures moved {abs(by) / 60.0:.0f} min {way}",
-            "their clock may not be that of the readings",
+            f"all temperatures moved {60.0 * hours:.0f} min {way}",
+            "their clock may not be that of the readings" + (", by time zone or summer time" if whole else ""),
             "the time of both",
             moved(by),
             rival=SENSORS_LATE if by > 0.0 else "",
+            whole_hours=whole,
         )
 
     def lost(self, usual: float) -> Iterator[Edit]:

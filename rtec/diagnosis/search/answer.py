@@ -579,7 +579,9 @@ class _Answer:
         asks = draft.named_drop < MOSTLY_NAMED  # a named effect answers the question whose file it is
         foreign = [d.words for d in draft.doubts if d.kind == "other_machine"] if asks else []
         foreign += [
-            d.words for d in draft.doubts if d.kind in ("beam_in_air", "not_read", "warm_start") and not d.fatal
+            d.words
+            for d in draft.doubts
+            if d.kind in ("beam_in_air", "not_read", "warm_start", "late_temperatures") and not d.fatal
         ]
         return words.with_sentence(draft, smallest, fatal, foreign)
 

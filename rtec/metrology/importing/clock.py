@@ -1,8 +1,9 @@
 """Converts a file's times to seconds, and decides where runs begin."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import datetime, timedelta
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta, tzinfo
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.metrology.importing.map import Run, Time
-from rtec.metrology.readers.base import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, Floats, ForeignTable, Ints, parsed
+from rtec.metrology.importing.zones import ABSOLUTE, SUCH_AS, dated, in_utc, parsed, written, zone_of
+from rtec.metrology.readers.base import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, Floats, ForeignTable, Ints
 from rtec.metrology.units import convert
 from rtec.tomlfile import nearest
 from rtec.wording import counted
@@ -24,8 +26,10 @@ class RowClock:
         time_s: (n,).
         restarts: rows at which the file's clock restarts.
         notes: notes for the measurement.
-        began: date and time of time 0, where the file has dates; local times are taken as UTC.
-        of_day: the same where the file has times of day only, on a day that means nothing; None without a clock.
+        began: date and time of time 0, where the file has dates; local times of an unknown zone are taken as UTC.
+        of_day: the same where the file has times of day only, local and on a day that means nothing; None without a
+            clock.
+        zone: time zone of the file; None where that is unknown.
     """
 
     time_s: Floats
@@ -33,6 +37,7 @@ class RowClock:
     notes: tuple[str, ...]
     began: datetime | None = None
     of_day: datetime | None = None
+    zone: tzinfo | None = None
 
 
 def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
@@ -46,24 +51,27 @@ def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
         order: Floats = np.arange(len(table), dtype=np.float64) * step_s
         made_up = f"the file has no time: its rows are taken as {step_s:g} s apart"
         return RowClock(order, np.empty(0, dtype=np.int64), (made_up,))
-    dated = True
+    has_date, zone = True, zone_of(time.zone) if time.zone else UTC if time.unit in ABSOLUTE else None
     if time.format is not None or time.unit == "iso":
-        time_s, epoch, dated = _of_day(table, time, source)
+        has_date = dated(time.format)
+        time_s, epoch, zone = _of_day(table, time, source, zone)
     else:
         values = table.numbers(time.column, source)
         unit = time.unit or table.units.get(time.column)
         if not unit:
             raise MeasurementError(f"{source}: [time] column {time.column!r}: the file tells no unit; say unit = …")
         time_s, epoch = _since(values, unit)
+        if zone is not None and epoch is not None and unit == "excel":
+            epoch = in_utc(epoch.replace(tzinfo=None), zone, None)
     lost = np.flatnonzero(np.isnan(time_s))
     if len(lost):
         line = f"{source}: line {table.lines[lost[0]]}: no time ({len(lost)} rows in all)"
         raise MeasurementError(f"{line}; leave them out: [rows] require = [{time.column!r}]")
-    return _put_in_order(time_s, epoch, table, time, source, dated=dated)
+    return replace(_put_in_order(time_s, epoch, table, time, source, zone, has_date=has_date), zone=zone)
 
 
 STANDS_MM = 1e-3
-DAY_S = 86_400.0
+DAY_S, HOUR_S = 86_400.0, 3_600.0
 EPOCHS = {"filetime": (EPOCH_FILETIME, 1e-7), "excel": (EPOCH_EXCEL, 86400.0), "unix": (EPOCH_UNIX, 1.0)}
 
 
@@ -79,36 +87,46 @@ def _since(values: Floats, unit: str) -> tuple[Floats, datetime | None]:
         return (values - least) * second, None
 
 
-def _of_day(table: ForeignTable, time: Time, source: str) -> tuple[Floats, datetime | None, bool]:
-    """Seconds since the first time of day, that first one, and whether it has a date."""
+def _of_day(
+    table: ForeignTable, time: Time, source: str, zone: tzinfo | None
+) -> tuple[Floats, datetime | None, tzinfo | None]:
+    """Seconds since the first time of day, that first one, and the zone: the file's own, or the given one."""
     name, pattern = time.column or "", time.format
     texts = table.column(name, source)
     if time.date is not None:
         texts = np.array(
             [f"{d} {t}".strip() for d, t in zip(table.column(time.date, source), texts, strict=True)], dtype=np.object_
         )
-    dated = pattern is None or any(word in pattern for word in ("%d", "%j", "%x", "%c"))
     out = np.full(len(table), np.nan)
-    first = None
+    first, before, local = None, None, zone if dated(pattern) else None
     for i, text in enumerate(texts):
-        if not (written := str(text).strip()) or written == "nan":
+        if not (cell := str(text).strip()) or cell == "nan":
             continue
         try:
-            moment = parsed(written, pattern)
+            moment = parsed(cell, pattern)
         except (ValueError, OverflowError) as e:
-            line = f"{source}: line {table.lines[i]}: column {name!r}: {written[:40]!r}"
+            line = f"{source}: line {table.lines[i]}: column {name!r}: {cell[:40]!r}"
             way = "correct format" if pattern else 'say format = "%d.%m.%Y %H:%M:%S" or what fits'
             raise MeasurementError(f"{line} is no time ({e}); {way}") from e
-        first = first or moment
-        out[i] = (moment - first).total_seconds()
-    return out, first, dated
+        zone = moment.tzinfo or zone
+        before = in_utc(moment, local, before)
+        first = first or before
+        out[i] = (before - first).total_seconds()
+    return out, first, zone
 
 
 def _put_in_order(
-    time_s: Floats, epoch: datetime | None, table: ForeignTable, time: Time, source: str, *, dated: bool
+    time_s: Floats,
+    epoch: datetime | None,
+    table: ForeignTable,
+    time: Time,
+    source: str,
+    zone: tzinfo | None,
+    *,
+    has_date: bool,
 ) -> RowClock:
     notes = []
-    if epoch is not None and not dated and not time.restarts:
+    if epoch is not None and not has_date and not time.restarts:
         midnights = np.diff(time_s, prepend=time_s[:1]) < -DAY_S / 2
         time_s = time_s + DAY_S * np.cumsum(midnights)
         if midnights.any():
@@ -116,6 +134,11 @@ def _put_in_order(
     falls = np.flatnonzero(np.diff(time_s) < 0) + 1
     if len(falls) and not time.restarts:
         i = falls[0]
+        if epoch is not None and zone is None and falls_by_an_hour(time_s):
+            raise MeasurementError(
+                f"{source}: line {table.lines[i]}: local time falls by an hour, as at the end of summer time; say the "
+                f"time zone: [time] zone = …, {SUCH_AS}"
+            )
         raise MeasurementError(
             f"{source}: line {table.lines[i]}: time falls from {time_s[i - 1]:.10g} to {time_s[i]:.10g} s "
             f"({len(falls)} times in all); if every run starts its clock again: [time] restarts = true, "
@@ -127,13 +150,38 @@ def _put_in_order(
         time_s = time_s + np.cumsum(later)
         notes.append(f"the clock starts again {len(falls)} times; {time.restart_gap_s:g} s are put between")
     first = epoch + timedelta(seconds=float(time_s[0])) if epoch is not None and len(time_s) else None
-    if first is not None and dated:
-        notes.append(f"time 0 is {first:%Y-%m-%d %H:%M:%S}")
+    if first is not None and has_date:
+        notes.append(f"time 0 is {said(first, zone)}")
         time_s = time_s - time_s[0]
     elif time.from_zero and len(time_s) and time_s[0] != 0.0:
         notes.append(f"time 0 is {time_s[0]:.10g} s of the file")
         time_s = time_s - time_s[0]
-    return RowClock(time_s, falls, tuple(notes), first if dated else None, first)
+    return RowClock(time_s, falls, tuple(notes), first if has_date else None, first)
+
+
+def said(moment: datetime, zone: tzinfo | None) -> str:
+    """A date and time in words, with the zone where that is known."""
+    local = moment.astimezone(zone) if zone is not None else moment
+    return f"{local:%Y-%m-%d %H:%M:%S}" + (f" {written(local.utcoffset())}" if zone is not None else "")
+
+
+def summer_time_ends(table: ForeignTable, time: Mapping[str, Any], source: str) -> bool:
+    """Whether local times with a date, of an unknown zone, fall once by an hour; `time` has the keys of `[time]`."""
+    if time.get("zone") or not (time.get("format") or time.get("unit") == "iso") or not dated(time.get("format")):
+        return False
+    try:
+        time_s, _, zone = _of_day(table, Time(**time), source, None)
+    except MeasurementError:
+        return False
+    return zone is None and falls_by_an_hour(time_s[np.isfinite(time_s)])
+
+
+def falls_by_an_hour(time_s: Floats) -> bool:
+    """Whether the only fall of a clock is by an hour, but for the time from one row to the next."""
+    steps = np.diff(time_s)
+    falls = steps[steps < 0]
+    usual = float(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0.0
+    return len(falls) == 1 and -HOUR_S - 1.0 <= falls[0] <= min(-HOUR_S + 10.0 * usual, -HOUR_S / 2)
 
 
 def runs(

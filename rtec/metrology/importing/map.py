@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from rtec.errors import MeasurementError
 from rtec.metrology.files.toml import MeasurementTable
 from rtec.metrology.importing.rows import condition
+from rtec.metrology.importing.zones import zone_of
 from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.units import UNITS, canonical
 from rtec.quantities import Code, Coefficient, Factor, MillimetresNotNegative, MillimetresPositive, SecondsPositive
@@ -91,6 +92,7 @@ class Time(Strict):
         unit: a unit of time, or "iso", "filetime" (100 ns since 1601), "excel" (days since 1900), "unix" (seconds
             since 1970).
         format: strptime pattern of a time of day.
+        zone: of local times: a place such as "Europe/Berlin", "UTC", or "+02:00".
         from_zero: whether the first row becomes 0; times of day always begin at 0.
         restarts: a time that falls begins a new run, `restart_gap_s` after the one before.
         restart_gap_s: see `restarts`.
@@ -101,6 +103,7 @@ class Time(Strict):
     date: str | None = None
     unit: str | None = None
     format: str | None = None
+    zone: str | None = None
     from_zero: bool = True
     restarts: bool = False
     restart_gap_s: SecondsPositive = 1.0
@@ -110,8 +113,10 @@ class Time(Strict):
     def _one_way(self) -> "Time":
         if (self.column is None) == (self.step_s is None):
             raise ValueError("give either column or step_s")
-        if self.column is None and (self.unit or self.format or self.restarts or self.date):
-            raise ValueError("step_s stands alone; date, unit, format and restarts belong to a column")
+        if self.column is None and (self.unit or self.format or self.restarts or self.date or self.zone):
+            raise ValueError("step_s stands alone; date, unit, format, zone and restarts belong to a column")
+        if self.zone is not None:
+            zone_of(self.zone)
         if self.date and self.unit != "iso" and not self.format:
             raise ValueError('date needs a format for "DATE TIME", such as "%d.%m.%Y %H:%M:%S", or unit = "iso"')
         if self.unit and self.format:

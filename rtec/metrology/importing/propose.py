@@ -22,12 +22,14 @@ from rtec.errors import MeasurementError
 from rtec.files import write_text
 from rtec.machine import Machine
 from rtec.metrology.importing.apply import chosen
+from rtec.metrology.importing.clock import summer_time_ends
 from rtec.metrology.importing.cycles import cycles_of, from_cycles
 from rtec.metrology.importing.diameters import halve_diameters
 from rtec.metrology.importing.map import Cycles, ImportMap
 from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles
 from rtec.metrology.importing.rows import from_events
 from rtec.metrology.importing.words import has, unknown_unit
+from rtec.metrology.importing.zones import SUCH_AS, said_zone, zone_of
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.metrology.readers import detect, read_tables
@@ -324,6 +326,8 @@ def propose(
     if roles.bar_mm is not None:
         guesses = (*guesses, *_less_the_bar(content["column"]["reading_um"], content["setup"], roles.bar_mm, str(path)))
     content["column"] = _of_probes(content["column"], content["setup"])
+    if summer_time_ends(table, content["time"], str(path)):
+        _ask_zone("zone", "Local time falls by an hour, as at the end of summer time.", content["time"], asker)
     in_log, logged = _temperatures(preset.get("temperatures"), path, content, roles, asker)
     content["column"] |= _constants(content["column"] | in_log, measurement, machine, asker)
     letters = [n[8].upper() for n in content["column"] if re.fullmatch(r"reading_[xyz]_um", n)]
@@ -635,7 +639,19 @@ def _temperatures(
     is_log = events is not None or read.name == "json_lines"
     roles = ColumnRoles(table, own.machine, preset, asker.ask, is_log=is_log)
     found = roles.log()
+    shown = said_zone(own.table, content["time"]), said_zone(table, found["time"])
+    turned = summer_time_ends(table, found["time"], str(path))
+    if turned or (shown[1] == "" and shown[0]):
+        why = (
+            "Local time falls by an hour, as at the end of summer time."
+            if turned
+            else f"No time zone is in it; {beside.name} says {shown[0]}."
+        )
+        _ask_zone("zone of log", why, found["time"], asker)
     asker.log = ""
+    if shown[0] == "" and (shown[1] or found["time"].get("zone")):
+        why = f"No time zone is in {beside.name}; {path.name} says {found['time'].get('zone') or shown[1]}."
+        _ask_zone("zone", why, content["time"], asker)
     if "column" not in found["time"]:
         raise MeasurementError(f"{path}: no column of times; a log of temperatures has one, with the time of day")
     asked = any(q.key.startswith(("sensor of", "unit of")) for q in asker.open)
@@ -649,6 +665,19 @@ def _temperatures(
     guesses = [Guess("temperatures", c["from"], f"{n}, a column of {path.name}") for n, c in taken.items()]
     guesses += [Guess("temperatures", None, f"{n} is in the file itself") for n in found["column"] if n in there]
     return taken, tuple(guesses)
+
+
+def _ask_zone(key: str, why: str, time: dict[str, Any], asker: _Answers) -> None:
+    """Ask in which time zone local times are, and put it into `[time]`."""
+    if time.get("zone"):
+        return
+    answer = asker.ask(key, f"{why} In which time zone are its times?", (), None, SUCH_AS)
+    if answer is not None:
+        try:
+            zone_of(answer)
+        except ValueError as e:
+            raise MeasurementError(f"{asker.log or asker.source}: {key}: {e}") from e
+        time["zone"] = answer
 
 
 CONSTANT = re.compile(r"[a-z][a-z0-9]*_mm|\w+_degc")

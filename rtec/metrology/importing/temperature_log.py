@@ -3,14 +3,15 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
 import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.table import Floats
-from rtec.metrology.importing.clock import RowClock
+from rtec.metrology.importing.clock import RowClock, said
+from rtec.metrology.importing.zones import SUCH_AS
 
 DAY_S = 86400.0
 LONGEST_GAP_S, LONGEST_GAP_STEPS = 600.0, 3.0
@@ -57,6 +58,13 @@ def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict
             raise MeasurementError(f"{name}: no time of day to match {log.source} to {source} by; {way}")
         if len(one.restarts):
             raise MeasurementError(f"{name}: its clock falls: no time to match {log.source} to {source} by")
+    for one, name, other in ((clock, source, log.source), (log.clock, log.source, source)):
+        if one.zone is None and (clock.zone or log.clock.zone):
+            where = "[time]" if one is clock else "[temperatures.time]"
+            raise MeasurementError(
+                f"{name}: says no time zone, and {Path(other).name} says one; say that of its times: {where} zone = …, "
+                f"{SUCH_AS}"
+            )
     at_s = clock.time_s + _apart_s(clock, source, log)
     out, notes = {}, []
     for name, values in log.columns.items():
@@ -68,23 +76,27 @@ def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict
     if not any(np.isfinite(v).any() for v in out.values()):
         raise MeasurementError(
             f"{log.source}: is of another time: it is {_span(log.clock)}, {source} is {_span(clock)}; is one clock set "
-            "wrong, or in another time zone?"
+            "wrong, or in another time zone? Then say both: zone = … in [time] and in [temperatures.time] of a map"
         )
     how = "by date and time" if clock.began and log.clock.began else "by time of day, on the same day"
-    return out, [f"temperatures from {log.source}, matched {how}: {_span(log.clock)}", *notes]
+    return out, [f"temperatures from {log.source}, matched {how}: {_span(log.clock, clock.zone)}", *notes]
 
 
 def _apart_s(clock: RowClock, source: str, log: LoggedTemperatures) -> float:
     """Time of the log at which the measurement begins. Without a date on both sides it is that of the covering day."""
     assert clock.of_day is not None  # noqa: S101 (both were looked at)
     assert log.clock.of_day is not None  # noqa: S101
-    apart_s = (clock.of_day - log.clock.of_day).total_seconds()
+    both = bool(clock.began and log.clock.began)
+    begins = [c.of_day if both else _on_the_wall(c, other) for c, other in ((clock, log.clock), (log.clock, clock))]
+    assert begins[0] is not None  # noqa: S101
+    assert begins[1] is not None  # noqa: S101
+    apart_s = (begins[0] - begins[1]).total_seconds()
     if clock.began and log.clock.began:
         return apart_s
     last_s = float(log.clock.time_s[-1])
     days = np.arange(-1.0, np.ceil(last_s / DAY_S) + 1.0)
-    begins = apart_s % DAY_S + DAY_S * days
-    covered = [int(((b + clock.time_s >= 0.0) & (b + clock.time_s <= last_s)).sum()) for b in begins]
+    first_s = apart_s % DAY_S + DAY_S * days
+    covered = [int(((b + clock.time_s >= 0.0) & (b + clock.time_s <= last_s)).sum()) for b in first_s]
     best = max(covered)
     if best and (several := covered.count(best)) > 1:
         name = source if clock.began is None else log.source
@@ -92,7 +104,14 @@ def _apart_s(clock: RowClock, source: str, log: LoggedTemperatures) -> float:
             f"{name}: has no date, and {log.source} fits on {several} days; name the column of the date in a map, "
             "[time] date = …, or take one day of the log"
         )
-    return float(begins[covered.index(best)])
+    return float(first_s[covered.index(best)])
+
+
+def _on_the_wall(clock: RowClock, other: RowClock) -> datetime | None:
+    """Time of day of the first row, as the clock of the file that has no date shows it."""
+    if clock.began is None or other.zone is None:
+        return clock.of_day
+    return clock.began.astimezone(other.zone).replace(tzinfo=UTC)
 
 
 def _at(at_s: Floats, time_s: Floats, values: Floats) -> tuple[Floats, float]:
@@ -112,9 +131,10 @@ def _at(at_s: Floats, time_s: Floats, values: Floats) -> tuple[Floats, float]:
     return np.where(bridged, np.interp(at_s, time_s, values), held), step_s
 
 
-def _span(clock: RowClock) -> str:
+def _span(clock: RowClock, zone: tzinfo | None = None) -> str:
+    """From when to when a clock ran, in its own zone or another."""
     assert clock.of_day is not None  # noqa: S101
-    first: datetime = clock.of_day
-    last = first + timedelta(seconds=float(clock.time_s[-1] - clock.time_s[0]))
-    form = "%Y-%m-%d %H:%M:%S" if clock.began else "%H:%M:%S"
-    return f"from {first:{form}} to {last:{form}}"
+    ends = clock.of_day, clock.of_day + timedelta(seconds=float(clock.time_s[-1] - clock.time_s[0]))
+    if clock.began is None:
+        return "from {:%H:%M:%S} to {:%H:%M:%S}".format(*ends)
+    return "from {} to {}".format(*(said(e, zone or clock.zone) for e in ends))

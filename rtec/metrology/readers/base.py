@@ -193,17 +193,3 @@ def filetime_text(ticks: int) -> str:
         return (EPOCH_FILETIME + timedelta(microseconds=ticks // 10)).isoformat()
     except OverflowError:
         return f"FILETIME {ticks}"
-
-
-def parsed(text: str, pattern: str | None) -> datetime:
-    """Parse a date and time; local times are taken as UTC.
-
-    Args:
-        text: the text.
-        pattern: strptime pattern; None reads ISO 8601.
-
-    Raises:
-        ValueError: the text does not match.
-    """
-    moment = datetime.strptime(text, pattern) if pattern else datetime.fromisoformat(text)
-    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
