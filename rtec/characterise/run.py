@@ -60,6 +60,7 @@ from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.travel import outside_travel, travel_words
 from rtec.metrology.unread import is_rotary
 from rtec.model import Model
 from rtec.model.fit import Margin
@@ -118,6 +119,7 @@ def characterise(
         made = assemble(fit, fitted.screened, fitted.choice, given, name, margin or Margin())
         first = [*fitted.warnings, *([few] if few else [])]
         first += [fitted.doubt] if fitted.doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
+        first += _outside_travel(given.readings.measurements)
         first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
         return replace(made, warnings=(*first, *made.warnings))
 
@@ -200,6 +202,12 @@ def _opened(measurement: Measurement, key: str, closed: str, now: str) -> Measur
     if getattr(setup, key, None) != closed:
         return None
     return replace(measurement, instrument=replace(measurement.instrument, setup=setup.model_copy(update={key: now})))
+
+
+def _outside_travel(files: Sequence[Measurement]) -> list[Warn]:
+    """Warn of positions outside the travel of their axis."""
+    found = [(m, a, at_mm) for m in files for a in m.machine.axes if (at_mm := outside_travel(m, a)) is not None]
+    return [Warn("outside_travel", *travel_words(m, a, at_mm)) for m, a, at_mm in found]
 
 
 def _of_starts(begun: Sequence[WarmStart], files: Sequence[Measurement]) -> list[Warn]:

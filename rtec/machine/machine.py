@@ -113,6 +113,11 @@ class Machine:
         """Names of all component errors, in the order of the chain's columns."""
         return self.chain.components
 
+    @property
+    def turns_work(self) -> bool:
+        """Whether a spindle carries the workpiece, as on a lathe; by the names of the links."""
+        return any("spindle" in name.lower() for name in self.work_chain)
+
     @cached_property
     def hash(self) -> str:
         """SHA-256 of the machine file's content, independent of its formatting."""

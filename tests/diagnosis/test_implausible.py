@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import characterise
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add
 from rtec.diagnosis.extend.improve import improve
@@ -307,3 +308,12 @@ def test_steps_of_a_coarser_display_and_somewhat_more_noise_are_no_scatter() -> 
     coarse = {k: 5.0 * np.round(v / 5.0) for k, v in day(103).readings.items()}
     assert "scatter" not in [k for k, _ in asked(fitted(), replace(m, readings=coarse))]
     assert "scatter" not in [d.kind for d in diagnose(fitted(), [replace(day(103), readings=coarse)], draws=50).doubts]
+
+
+def test_a_fit_warns_of_positions_outside_the_travel() -> None:
+    """`fit` had said nothing, and the model that it made then passed these files."""
+    m = day(54)
+    codes = [w.code for w in characterise([m]).warnings]
+    assert "outside_travel" not in codes
+    (said,) = [w for w in characterise([changed(m, x=m.channels["x"] + 50.0)]).warnings if w.code == "outside_travel"]
+    assert said.text.endswith("outside its travel of 0 to 200 mm")

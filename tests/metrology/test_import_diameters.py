@@ -90,3 +90,27 @@ def test_names_without_a_diameter(tmp_path: Path) -> None:
     assert [axis_letter(n) for n in ("XØ [mm]", "ØX", "X Ø", "X⌀")] == ["X"] * 4
     proposal = proposed(tmp_path, {"X [mm]": X, "Error [um]": ERROR}, diameter="none")
     assert imported(tmp_path, proposal) == (1.0, 1.0)
+
+
+def test_a_lathe_whose_file_tells_nothing_takes_radii_and_says_so(tmp_path: Path) -> None:
+    proposal = proposed(tmp_path, {"X [mm]": X, "Error [um]": ERROR})
+    (said,) = [(q.text, a) for q, a in proposal.assumed if q.key == "diameter"]
+    assert said[0].startswith("X of a lathe may be a diameter; 'X [mm]' and 'Error [um]' do not tell.")
+    assert said[1] == "none"
+    assert imported(tmp_path, proposed(tmp_path, {"X [mm]": X, "Error [um]": ERROR}, diameter="position")) == (0.5, 1)
+
+
+def test_positions_of_a_lathe_of_which_only_half_fits_must_be_answered(tmp_path: Path) -> None:
+    """The travel is 200 mm; 360 mm of the display are a radius of 180 mm."""
+    columns = {"X [mm]": 2.0 * X, "Error [um]": ERROR}
+    (asked,) = [q for q in proposed(tmp_path, columns).open if q.key == "diameter"]
+    assert "half of it is within the travel, all of it is not" in asked.text
+    assert imported(tmp_path, proposed(tmp_path, columns, diameter="position"))[0] == pytest.approx(1.0)
+
+
+def test_a_mill_is_not_asked(tmp_path: Path) -> None:
+    mill = load_machine(Path(__file__).parents[2] / "configs" / "machines" / "vertical-mill.toml")
+    path = tmp_path / "raw.csv"
+    path.write_text("\n".join(["X [mm];Error [um]", *(f"{x};{e}" for x, e in zip(X, ERROR, strict=True)), ""]))
+    proposal = propose(path, mill, {}, {"instrument": "laser_linear"})
+    assert "diameter" not in [q.key for q in (*proposal.open, *(q for q, _ in proposal.assumed))]

@@ -852,7 +852,7 @@ def written(unit: str, name: str = "Error", clock: str = "Elapsed [s]", place: s
     return "\n".join([f"{clock},{place},{name} [{unit}],T_bed [°C]", *lines]) + "\n"
 
 
-AT_X = {"axis": "X", "instrument": "laser_linear"}
+AT_X = {"axis": "X", "instrument": "laser_linear", "diameter": "none"}
 
 
 @pytest.mark.parametrize(

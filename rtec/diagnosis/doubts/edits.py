@@ -22,6 +22,7 @@ from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings, Series
 from rtec.machine import Axis
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.travel import BEYOND
 from rtec.model import FittedEffect, Model
 from rtec.wording import significant, sizes
 
@@ -51,8 +52,6 @@ RATES = ((60.0, "minutes"), (3600.0, "hours"), (1e-3, "milliseconds"), (1e3, "th
 OTHER_RATES, APART = (0.25, 4.0), 1.5
 """Units that a time may be in. A rate is asked about where rates that no unit has, this many times it, leave more than
 the second factor of what it leaves: a delay that only disappeared, or that never ends, does not tell the rate."""
-BEYOND = 0.05
-"""Share of the travel by which a position may exceed it."""
 ABOVE, NEAR_FIT, HALF = 1.5, 1.15, 0.5
 """A model holds no longer where its residual is this many times what it usually is; an edit reaches that within the
 second factor. A sensor shows its fault where at least this share of a jump is not the machine's."""

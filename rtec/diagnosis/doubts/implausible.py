@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.doubts.edits import AS_GOOD, BEYOND
+from rtec.diagnosis.doubts.edits import AS_GOOD
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
 from rtec.estimation.columns import base_of
@@ -16,6 +16,7 @@ from rtec.estimation.warmth import of_the_fit
 from rtec.machine import Axis
 from rtec.metrology.contradicted import contradicted
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.travel import BEYOND, outside_travel, travel_words
 from rtec.wording import ERROR_UNITS, significant, sizes
 
 Floats = NDArray[np.float64]
@@ -90,18 +91,14 @@ def _too_fast(m: Measurement, axis: Axis) -> Doubt | None:
 
 def _outside(judged: Judgement, m: Measurement, axis: Axis) -> Doubt | None:
     """Positions outside the travel; where the fit did not have them either, they precede every answer."""
-    (low, high), places = axis.travel_mm, m.channels[axis.channel]
-    first, last, beyond = float(np.nanmin(places)), float(np.nanmax(places)), BEYOND * (high - low)
-    if first >= low - beyond and last <= high + beyond:
+    at_mm = outside_travel(m, axis)
+    if at_mm is None:
         return None
-    fitted = judged.model.valid_range.get(axis.channel)
-    new = fitted is not None and (first < min(low, fitted[0]) - beyond or last > max(high, fitted[1]) + beyond)
-    message = (
-        f"{axis.name} of {m.name} was at {significant(first)} to {significant(last)} mm, outside its travel of {low:g} "
-        f"to {high:g} mm."
-    )
-    step = f"Check the unit and the origin of {axis.channel}_mm, or travel_mm in the machine file."
-    return Doubt("outside_travel", message, step, fatal=new)
+    fitted, (low, high) = judged.model.valid_range.get(axis.channel), axis.travel_mm
+    beyond = BEYOND * (high - low)
+    new = fitted is not None and (at_mm[0] < min(low, fitted[0]) - beyond or at_mm[1] > max(high, fitted[1]) + beyond)
+    text, check = travel_words(m, axis, at_mm)
+    return Doubt("outside_travel", f"{text}.", f"{check[0].upper()}{check[1:]}.", fatal=new)
 
 
 def _temperatures(judged: Judgement, m: Measurement) -> Doubt | None:

@@ -3,8 +3,12 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
+import numpy as np
+
 from rtec.metrology.importing.roles import Asks, ColumnRoles
 from rtec.metrology.importing.words import axis_letter, in_diameter
+from rtec.metrology.travel import RADIAL, half_fits
+from rtec.metrology.units import convert
 
 SIZES: Final = ("ball_bar", "work_piece")
 """Instruments whose reading is a length of its own: a work piece's diameter counts twice there."""
@@ -29,6 +33,8 @@ def halve_diameters(roles: ColumnRoles, head: Mapping[str, Any], given: Mapping[
     pairs = [(place, n) for n, place in readings.items() if place in columns]
     mixed = [pair for pair in pairs if len(marked & set(pair)) == 1]
     concerned = marked.union(*mixed)
+    unmarked = () if concerned or "x_mm" not in columns else _unmarked(roles, readings)
+    concerned = concerned.union(unmarked)
     kinds = {
         "position": [n for n in columns if n in concerned and n.endswith("_mm")],
         "error": [n for n in readings if n in concerned],
@@ -41,13 +47,38 @@ def halve_diameters(roles: ColumnRoles, head: Mapping[str, Any], given: Mapping[
     names = [[repr(columns[n]["from"]) for n in columns if n in of] for of in (marked, concerned - marked)]
     text = "By name a diameter: " + "; not by name: ".join(" and ".join(n) for n in names if n)
     text += ". Which of position and error is halved to a radius?"
-    answer = ask("diameter", text, (*choices, "none"), None if mixed else choices[0])
+    default = None if mixed else choices[0]
+    if unmarked:
+        fits = _half_fits(roles)
+        text = f"X of a lathe may be a diameter; {' and '.join(names[1])} {'do' if names[1][1:] else 'does'} not tell"
+        text += ": half of it is within the travel, all of it is not" if fits else ""
+        text += ". Which of position and error is halved to a radius?"
+        default = None if fits else "none"
+    answer = ask("diameter", text, (*choices, "none"), default)
     halved = {"both": [*kinds["position"], *kinds["error"]], **kinds}.get(answer or "none", [])
     for name in halved:
         column = roles.columns[name]
         column["scale"] = 0.5 * column.get("scale", 1.0)
         target, reason = roles.use[column["from"]]
         roles.use[column["from"]] = (target, f"{reason}; a diameter, halved")
+
+
+def _unmarked(roles: ColumnRoles, readings: Mapping[str, str]) -> tuple[str, ...]:
+    """On a lathe: the positions of X and readings along it, whose names do not tell whether they are diameters."""
+    if roles.machine is None or not roles.machine.turns_work:
+        return ()
+    return ("x_mm", *(n for n, place in readings.items() if place in ("x_mm", "_mm")))
+
+
+def _half_fits(roles: ColumnRoles) -> bool:
+    """Whether half of X is within its travel, and X is not."""
+    column, machine = roles.columns["x_mm"], roles.machine
+    axis = next((a for a in machine.axes if a.name == RADIAL), None) if machine is not None else None
+    values = roles.table.columns[column["from"]]
+    if axis is None or values.dtype == np.object_ or not np.isfinite(values.astype(np.float64)).any():
+        return False
+    at = convert(values.astype(np.float64), column.get("unit") or "mm", "mm")
+    return half_fits(axis, (float(np.nanmin(at)), float(np.nanmax(at))))
 
 
 def _along(name: str, column: Mapping[str, Any], head: Mapping[str, Any]) -> str:
