@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rtec.machine import load_machine
+from rtec.metrology.files.load import load_measurement
 from rtec.metrology.importing import ImportProposal, import_to_files, propose
 from rtec.metrology.importing.words import axis_letter, in_diameter
 
@@ -114,3 +115,19 @@ def test_a_mill_is_not_asked(tmp_path: Path) -> None:
     path.write_text("\n".join(["X [mm];Error [um]", *(f"{x};{e}" for x, e in zip(X, ERROR, strict=True)), ""]))
     proposal = propose(path, mill, {}, {"instrument": "laser_linear"})
     assert "diameter" not in [q.key for q in (*proposal.open, *(q for q, _ in proposal.assumed))]
+
+
+@pytest.mark.parametrize(("answer", "way"), [(None, 0.0), ("-1", -1.0)])
+def test_the_order_of_features_tells_no_direction_of_the_cut(tmp_path: Path, answer: str | None, way: float) -> None:
+    """Four collars, each wider than the one before, were all cut towards the spindle: an order is no direction.
+
+    As it was, three of them were taken for cut outwards, and a backlash and a squareness that no machine had followed.
+    """
+    collars = {"X Ø [mm]": np.tile([30.0, 44.0, 60.0, 80.0], 5), "Error Ø [um]": np.tile([9.1, 9.4, 10.2, 11.0], 5)}
+    said = {"setup.feature": "diameter", "instrument": "work_piece"} | ({"dir_x": answer} if answer else {})
+    proposal = proposed(tmp_path, collars, **said)
+    import_to_files(proposal.path, proposal.import_map(), tmp_path / "parts.csv", MACHINE, force=True)
+    parts = load_measurement(tmp_path / "parts", MACHINE)
+    np.testing.assert_array_equal(parts.state().value("d_x"), way)
+    notes = [n for n in parts.notes if n.startswith("no column dir_x: nothing tells the direction of the cut")]
+    assert len(notes) == (answer is None)

@@ -123,6 +123,13 @@ LEAST = 3
 """Fewest targets between two ends whose number of readings shows an order."""
 
 
+def not_in_order(instrument: Instrument, machine: Machine, channels: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Directions that the order of readings does not tell, by channel: 0 in every row, (n,)."""
+    given = {} if instrument.in_order else {a: channels[a.channel] for a in machine.axes if a.channel in channels}
+    moved = [a for a, at in given.items() if a.direction_channel not in channels and len(at) and np.ptp(at) > 0.0]
+    return {a.direction_channel: np.zeros(len(given[a])) for a in moved}
+
+
 @np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
 def on_the_run(
     instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], run: Ints, time_s: Floats, read: Bools
@@ -425,6 +432,9 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     channels = {columns[c]: v for c, v in raw.columns.items() if c in columns}
     written = {channel: column for column, channel in columns.items()}
     read = np.logical_or.reduce([np.isfinite(raw.columns[c]) for c in instrument.columns()])
+    cut = not_in_order(instrument, machine, channels)
+    notes += [f"no column {written[c]}: nothing tells the direction of the cut, so no reversal is read" for c in cut]
+    channels |= cut
     runs = on_the_run(instrument, machine, channels, run, raw.columns["time_s"], read)
     notes += [
         f"no column {written[c]}: by its positions and times the axis went at its feed while it was read" for c in runs

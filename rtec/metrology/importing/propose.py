@@ -531,7 +531,7 @@ class _Answers:
             elif kind is not None and _is_of_others(key, kind):
                 out.append(Guess(f"answer {key}", answer, f"not used: {kind.name} has no such key"))
             else:
-                keys = self.possible if key.endswith("_degc") else self.keys
+                keys = self.possible if CONSTANT.fullmatch(key) else self.keys
                 raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, keys)}")
         return out
 
@@ -680,13 +680,14 @@ def _ask_zone(key: str, why: str, time: dict[str, Any], asker: _Answers) -> None
         time["zone"] = answer
 
 
-CONSTANT = re.compile(r"[a-z][a-z0-9]*_mm|\w+_degc")
+CONSTANT = re.compile(r"[a-z][a-z0-9]*_mm|\w+_degc|dir_\w+")
 
 
 def _constants(
     columns: Mapping[str, Any], measurement: Mapping[str, Any], machine: Machine | None, asker: _Answers
 ) -> dict[str, Any]:
-    """Columns that the file lacks: the place of each other axis, which is asked, and temperatures that are answered.
+    """Columns that the file lacks: the place of each other axis, which is asked; temperatures and directions that are
+    answered.
 
     A ball bar's circle tells where all axes are; to readings that are a component already no lever arm matters.
     """
@@ -716,9 +717,9 @@ def _constants(
 def _number(name: str, answer: str | None, asker: _Answers) -> float:
     number = number_or_none((answer or "").strip())
     if number is None or not np.isfinite(number):
-        unit = "mm" if name.endswith("_mm") else "°C"
+        unit = "in mm" if name.endswith("_mm") else "in °C" if name.endswith("_degc") else "as -1 or +1"
         said = f"{asker.source}: {name}: {answer!r} is no number"
-        raise MeasurementError(f"{said}; give it in {unit}, such as {name}=20.5")
+        raise MeasurementError(f"{said}; give it {unit}, such as {name}={'1' if name.startswith('dir_') else '20.5'}")
     return number
 
 

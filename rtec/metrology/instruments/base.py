@@ -72,6 +72,7 @@ class Instrument(ABC):
         needs: keys of `[setup]` that are needed unless a component is named, beside those without a default.
         direct: unit of a component that it may read directly; None where it cannot.
         at_rest: it reads while the axes are at rest, unless their velocities are recorded.
+        in_order: its readings follow one another as the axes moved, so that positions tell directions.
         along: its axis is the one that moves from reading to reading.
         setup: the `[setup]` table.
         axis: axis that it follows, if any.
@@ -85,6 +86,7 @@ class Instrument(ABC):
     needs: ClassVar[tuple[str, ...]] = ()
     direct: ClassVar[Literal["um", "urad"] | None] = None
     at_rest: ClassVar[bool] = True
+    in_order: ClassVar[bool] = True
     along: ClassVar[bool] = False
 
     setup: InstrumentSetup

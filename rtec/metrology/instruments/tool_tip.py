@@ -114,6 +114,7 @@ class WorkPiece(AffineInstrument):
     name = "work_piece"
     title = "Work piece measured afterwards"
     at_rest = False
+    in_order = False  # of features: each was cut in a direction of its own
     setup_model = WorkPieceSetup
     axis_use = "required"
     setup: WorkPieceSetup
