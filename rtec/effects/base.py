@@ -139,10 +139,21 @@ DRIVES: dict[str, Callable[[Surroundings], str]] = {
 """What an effect may need; each gives the reason in words where the readings lack it, else an empty text."""
 
 
+PLACES, APART = 3, 0.01
+"""A curve along an axis takes so many places of it, apart by this share of what it moved."""
+
+
 def other_axes(around: Surroundings) -> list[Axis]:
-    """Axes that moved, without the component's own."""
+    """Axes that moved to three places or more, without the component's own."""
     own = around.axis.name if around.axis is not None else ""
-    return [a for a in around.machine.axes if a.name != own and a.channel in around.channels]
+    moved = [a for a in around.machine.axes if a.name != own and a.channel in around.channels]
+    return [a for a in moved if a.channel not in around.places_mm or places_of(around.places_mm[a.channel]) >= PLACES]
+
+
+def places_of(at_mm: Floats) -> int:
+    """Number of places among positions."""
+    steps = np.diff(np.unique(at_mm))
+    return 1 + int((steps > APART * steps.sum()).sum())
 
 
 __all__ = [
