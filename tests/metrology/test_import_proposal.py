@@ -898,3 +898,18 @@ def test_the_sign_of_a_correction_is_asked(tmp_path: Path, name: str) -> None:
     assert next(q.default for q in p.questions if q.key == "sign") is None
     how = proposed(tmp_path, written("µm", name=name), {**AT_X, "sign": "-1"}).import_map()
     assert import_table(tmp_path / "file.csv", how).columns["reading_um"][0] == pytest.approx(-2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"), [("Load [%]", "column Load [%]"), ("chuck", "chuck"), ("Druck, bar", "Druck_ bar")]
+)
+def test_a_column_that_nothing_reads_is_kept_for_the_diagnosis(tmp_path: Path, name: str, kept: str) -> None:
+    """It had been dropped, and a backlash that followed it was "slow drift". A copy of the position is not kept."""
+    lines = [f"{k};{10 * (k % 5)};{10 * (k % 5)}.001;{(7 * k) % 11};{0.1 * k}" for k in range(40)]
+    text = "\n".join([f"Time [s];X radius [mm];Actual X;{name};Error [um]", *lines, ""])
+    (tmp_path / "file.csv").write_text(text, encoding="utf-8")
+    proposal = propose(tmp_path / "file.csv", MACHINE, {}, AT_X)
+    import_to_files(tmp_path / "file.csv", proposal.import_map(), tmp_path / "out.csv", MACHINE)
+    read = load_measurement(tmp_path / "out", MACHINE)
+    assert list(read.unread) == [kept]
+    np.testing.assert_array_equal(read.unread[kept], (7 * np.arange(40)) % 11)

@@ -25,6 +25,9 @@ MOSTLY = 0.5
 FOLLOWS, LIKE_RANKS, SAME_SLOPE = 0.9, 0.8, 0.75
 """Correlation of the residual with a column from which on it follows it, in the record and in both of its halves; of
 their ranks; and smaller slope of a half over the larger."""
+POSITION = "the position along {}"
+CLEAR = 1.5
+"""From this many times the noise floor on, correlations are those of what is no noise."""
 OWN = 0.25
 """Least share of its mean square, and of the residual's, that a column has beside all channels that are read."""
 COPY = 0.9995
@@ -72,9 +75,9 @@ def _best(judged: Judgement, columns: dict[str, Floats]) -> tuple[float, str, st
     readings = judged.readings
     read, best = _read(readings), None
     ways = [(np.ones((len(read), 1)), "", floor.cleaned(readings, read))]
-    for axis, by in _positions(readings):
+    for what, by in (*_positions(readings), *_directions(readings)):
         both = floor.cleaned(readings, np.hstack([read, read * by[:, 1:]]))
-        ways.append((by, f", times the position along {axis}", both))
+        ways.append((by, f", times {what}", both))
     for by, words, known in ways:
         for name, column in columns.items():
             left = _beside(judged, floor.cleaned(readings, column[:, None] * by), known)
@@ -111,19 +114,19 @@ def as_well(judged: Judgement, readings: Readings, base: Floats, columns: Floats
         column = _column(readings, name)
         if column is None or not _is_own(column, read, values, readings):
             continue
-        for axis, by in _positions(readings):
+        for what, by in (*_positions(readings), *_directions(readings)):
             rest, found = left(column[:, None] * by)
             if rest <= min(ALIKE * mine, math.sqrt(MOSTLY) * none) and (best is None or rest < best[0]):
-                best = rest, name, axis, float(found[-1])
+                best = rest, name, what, float(found[-1])
     if best is None:
         return None
-    rest, name, axis, slope = best
+    rest, name, what, slope = best
     every = joined({name: m.unread[name]} for m in readings.measurements)
     size, other = sizes(rest, mine)
-    air = _of_pressure(readings, name, axis, slope, every[name])
+    air = _of_pressure(readings, name, what, slope, every[name])
     well = "nearly as well as" if rest > mine else "at least as well as"
     message = (
-        f"{ranged(name, every[name])}, which rtec does not read, times the position along {axis} explains the readings "
+        f"{ranged(name, every[name])}, which rtec does not read, times {what} explains the readings "
         f"{well} {label}: they leave {size} and {other} {ERROR_UNITS[judged.unit]}.{air}"
     )
     step = "Correct the readings for the pressure first." if air else f"Measure again with {name} held constant."
@@ -136,17 +139,20 @@ def _is_own(column: Floats, read: Floats, values: Floats, readings: Readings) ->
     return not same and abs(_correlation(floor.cleaned(readings, column), values)) < FOLLOWS
 
 
-def _of_pressure(readings: Readings, name: str, axis: str, slope: float, column: Floats) -> str:
+def _of_pressure(readings: Readings, name: str, what: str, slope: float, column: Floats) -> str:
     """Words where the slope is that of a laser's beam over the pressure of the air; else empty.
 
     Args:
+        what: what the column is multiplied with; only the position along an axis is the length of a beam.
         slope: µm over the ranges of column and position.
     """
     lasers = all(isinstance(m.instrument, LaserLinear) for m in readings.measurements)
     hpa = next((to for low, high, to in HPA if low < np.nanmin(column) and np.nanmax(column) < high), None)
     if not lasers or hpa is None or PRESSURE.fullmatch(name.strip().lower()) is None:
         return ""
-    along = next(a for a in readings.machine.axes if a.name == axis)
+    along = next((a for a in readings.machine.axes if what == POSITION.format(a.name)), None)
+    if along is None:
+        return ""
     per = abs(slope) / (float(np.ptp(column)) * hpa * float(np.ptp(readings.channel(along.channel))) * 1e-3)
     if not AIR_UM_PER_M_HPA / PHYSICAL < per < AIR_UM_PER_M_HPA * PHYSICAL:
         return ""
@@ -173,8 +179,17 @@ def _read(readings: Readings) -> Floats:
 
 
 def _positions(readings: Readings) -> list[tuple[str, Floats]]:
-    """Names of the axes that move, and one beside their positions from the mean in parts of their range, (m, 2)."""
-    values = [(a.name, readings.channel(a.channel)) for a in readings.machine.axes]
+    """Positions of axes that move, in words, and one beside them from the mean in parts of their range, (m, 2)."""
+    return _times(readings, [(POSITION.format(a.name), a.channel) for a in readings.machine.axes])
+
+
+def _directions(readings: Readings) -> list[tuple[str, Floats]]:
+    """Directions of axes that reverse, as `_positions`: a reversal may depend on a load or a pressure."""
+    return _times(readings, [(f"the direction of {a.name}", a.direction_channel) for a in readings.machine.axes])
+
+
+def _times(readings: Readings, named: Sequence[tuple[str, str]]) -> list[tuple[str, Floats]]:
+    values = [(name, readings.channel(channel)) for name, channel in named]
     return [
         (name, np.stack([np.ones(len(v)), (v - v.mean()) / np.ptp(v)], axis=1))
         for name, v in values
@@ -197,18 +212,26 @@ def _beside(judged: Judgement, columns: Floats, known: Floats) -> float | None:
     column, beside = (columns @ mixed)[:, 0], (own[:, 2:] @ mixed)[:, 0]
     if beside @ beside < OWN * (column @ column) or left @ left < OWN * (judged.left @ judged.left):
         return None
-    if abs(_correlation(read, beside)) > COPY or abs(_correlation(_ranks(left), _ranks(beside))) < LIKE_RANKS:
+    clear = _attainable(judged)
+    if abs(_correlation(read, beside)) > COPY or abs(_correlation(_ranks(left), _ranks(beside))) < clear * LIKE_RANKS:
         return None
     late = np.concatenate([s.time_s > np.median(s.time_s) for s in judged.readings.series])
     slopes = []
     for part in (np.ones(len(late), dtype=np.bool_), late, ~late):
-        if abs(_correlation(left[part], beside[part])) < FOLLOWS:
+        if abs(_correlation(left[part], beside[part])) < clear * FOLLOWS:
             return None
         slopes.append(float(left[part] @ beside[part]) / float(beside[part] @ beside[part]))
     if min(slopes[1:], key=abs) / max(slopes[1:], key=abs) < SAME_SLOPE:
         return None
     rest = judged.pooled(judged.left - column * float(judged.left @ column) / float(column @ column))
     return rest if rest**2 < MOSTLY * judged.residual**2 else None
+
+
+def _attainable(judged: Judgement) -> float:
+    """Correlation of a residual with its cause, which noise lowers; 1 where it is hardly above the noise."""
+    if judged.residual < CLEAR * judged.noise_floor:
+        return 1.0
+    return math.sqrt(1.0 - (judged.noise_floor / judged.residual) ** 2)
 
 
 def _correlation(one: Floats, other: Floats) -> float:

@@ -78,7 +78,13 @@ def _near(name: str, names: Iterable[str]) -> str:
     return f" (there is {by_letters[close[0]]!r})" if close else ""
 
 
-def _unknown(name: str, allowed: set[str], machine: Machine, instrument: Instrument) -> str:
+def is_own(name: str, machine: Machine) -> bool:
+    """Whether a column is the user's own: no name that rtec reads, nor a wrong one of these."""
+    allowed = {"run", "time_s", *machine.columns}
+    return name not in allowed and not name.lower().startswith("reading") and not _unknown(name, allowed, machine, None)
+
+
+def _unknown(name: str, allowed: set[str], machine: Machine, instrument: Instrument | None) -> str:
     """Why a column is wrong; empty for a column of the user's own, which is ignored."""
     if not name.strip():
         return "a column has no name"
@@ -91,7 +97,7 @@ def _unknown(name: str, allowed: set[str], machine: Machine, instrument: Instrum
     if tidy.endswith("_degc"):
         sensors = [f"{s}_degc" for s in machine.sensor_names]
         return f"column {name!r}: machine {machine.name!r} has no such sensor{nearest(name, sensors)}"
-    if tidy.startswith("reading"):
+    if tidy.startswith("reading") and instrument is not None:
         return f"unknown column {name!r}; the {instrument.name} gives {', '.join(instrument.columns())}"
     if _is_motion(tidy):
         return f"unknown column {name!r}: machine {machine.name!r} has axes {', '.join(machine.axis_names)}"

@@ -14,6 +14,7 @@ import numpy as np
 from rtec.errors import MeasurementError
 from rtec.files import check_named
 from rtec.machine import Machine
+from rtec.metrology.files.columns import is_own
 from rtec.metrology.files.load import Column as Values
 from rtec.metrology.files.load import write_files
 from rtec.metrology.files.table import Floats
@@ -41,6 +42,11 @@ DOUBTFUL, LIKE = 0.01, 0.1
 are positions."""
 
 
+NO_WORD = re.compile(r"[^\w%°/().+\[\] -]")
+COPY, FEW = 0.98, 3
+"""Correlation from which on a column is a copy of another one; fewest values that show it."""
+
+
 @dataclass(frozen=True)
 class Imported(Result):
     """The result of an import.
@@ -50,6 +56,7 @@ class Imported(Result):
         reader: name of the reader.
         rows_in, rows_out: number of rows of the file and of the measurement.
         notes: every step of the import, in words.
+        unread: columns that nothing reads, kept for `rtec diagnose`: readings may follow one.
         measurement: the measurement, read back and checked, where a machine was given.
         table: path of the written table.
         map: path of the written map, where it was proposed.
@@ -62,6 +69,7 @@ class Imported(Result):
     rows_in: int
     rows_out: int
     notes: tuple[str, ...]
+    unread: tuple[str, ...] = ()
     measurement: Measurement | None = None
     table: Path | None = None
     map: Path | None = None
@@ -173,7 +181,35 @@ def _part(path: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
     unread = {n: v[keep] for n, v in unused.items()} | angles
     if said := not_read({n: v for n, v in unread.items() if varies(n, v)}):
         notes.append(said)
-    return _Part(path, Imported(out, reader, rows_in, len(table), tuple(notes)), clock.began)
+    kept = _kept_unread({n: v for n, v in unread.items() if n not in columns}, out)
+    whole = Imported(out | kept, reader, rows_in, len(table), tuple(notes), tuple(kept))
+    return _Part(path, whole, clock.began)
+
+
+def _kept_unread(unread: Mapping[str, Floats], columns: Mapping[str, Values]) -> dict[str, Values]:
+    """Columns that nothing reads, by plain names: complete ones that vary, and are no copy of what is read."""
+    read = [np.asarray(v, dtype=np.float64) for v in columns.values()]
+    out: dict[str, Values] = {}
+    for name, values in unread.items():
+        plain = NO_WORD.sub("_", name).strip("_ ") or "unread"
+        if np.isfinite(values).all() and varies(name, values) and not any(_copies(values, v) for v in read):
+            out |= {plain: values} if plain not in {*columns, *out} else {}
+    return out
+
+
+def _own_name(name: str, machine: Machine | None) -> str:
+    """The name under which a column that nothing reads is kept, so that it is no name of rtec's; empty for none."""
+    if machine is None:
+        return ""
+    return next((n for n in (name, f"column {name}") if is_own(n, machine)), "")
+
+
+def _copies(one: Floats, other: Floats) -> bool:
+    """Whether two columns are the same but for scale and zero, or nearly."""
+    there = np.isfinite(other)
+    if there.sum() < FEW or not np.ptp(one[there]) > 0.0 or not np.ptp(other[there]) > 0.0:
+        return False
+    return abs(float(np.corrcoef(one[there], other[there])[0, 1])) > COPY
 
 
 def _joined(parts: Sequence[_Part], how: ImportMap) -> Imported:
@@ -185,6 +221,8 @@ def _joined(parts: Sequence[_Part], how: ImportMap) -> Imported:
     notes = [n for n in parts[0].imported.notes if all(n in p.imported.notes for p in parts)]
     columns: dict[str, list[Values]] = {n: [] for n in parts[0].imported.columns}
     end_s, runs_before = 0.0, 0
+    kept = tuple(n for n in parts[0].imported.unread if all(n in p.imported.unread for p in parts))
+    columns = {n: v for n, v in columns.items() if n in kept or n not in parts[0].imported.unread}
     for i, part in enumerate(parts):
         one = part.imported.columns
         time_s = np.asarray(one["time_s"], dtype=np.float64)
@@ -216,7 +254,7 @@ def _joined(parts: Sequence[_Part], how: ImportMap) -> Imported:
     joined: dict[str, Values] = {n: np.concatenate([x.astype(np.float64) for x in v]) for n, v in columns.items()}
     joined["run"] = joined["run"].astype(np.int64)
     rows_in, rows_out = (sum(getattr(p.imported, f) for p in parts) for f in ("rows_in", "rows_out"))
-    return Imported(joined, parts[0].imported.reader, rows_in, rows_out, tuple(notes))
+    return Imported(joined, parts[0].imported.reader, rows_in, rows_out, tuple(notes), kept)
 
 
 def import_measurement(paths: Path | Sequence[Path], how: ImportMap, machine: Machine) -> Measurement:
@@ -280,6 +318,8 @@ def import_to_files(
     head["notes"] = [*head["notes"], f"imported from {', '.join(p.name for p in files)}", *done.notes]
     numbers = [n for code in missing_codes if (n := _number(code)) is not None]
     accepted = {"drop_bad_rows": drop_bad_rows or None, "missing_codes": numbers or None}
+    names = {n: _own_name(n, machine) for n in done.unread}
+    done = replace(done, columns={names.get(n, n): v for n, v in done.columns.items() if names.get(n, n)})
     if machine is None:
         write_files(table, done.columns, head, how.setup, accepted)
         return replace(done, table=table)
