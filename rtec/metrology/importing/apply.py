@@ -20,6 +20,7 @@ from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.cycles import from_cycles
+from rtec.metrology.importing.frame import of_frame
 from rtec.metrology.importing.map import Column, ImportMap, RowRules, TemperatureLog
 from rtec.metrology.importing.rows import Bools, condition, from_events
 from rtec.metrology.importing.temperature_log import LoggedTemperatures, matched
@@ -157,7 +158,8 @@ def _part(path: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
         raise MeasurementError("\n".join(faults))
     keep = _after_first(columns, how, keep, str(path), notes)
     columns = {n: v[keep] for n, v in columns.items()}
-    notes = [*_doubts(columns, str(path)), *notes]
+    frame = of_frame(columns, how.setup, str(path)) if how.measurement.instrument == "tool_tip" else []
+    notes = [*frame, *_doubts(columns, str(path)), *notes]
     table = table.rows(keep)
     clock = seconds(table, how.time, str(path))
     notes += clock.notes

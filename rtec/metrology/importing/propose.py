@@ -556,7 +556,7 @@ def _setup(
     """`[setup]`: the required keys, and the instrument's offset unless a component is named.
 
     The radius of a ball bar's circle is proposed from the length of the bar, unless the bar leans; the direction of a
-    diagonal from the positions.
+    diagonal from the positions. Of measured coordinates the turn of their frame is taken as unknown.
     """
     instrument = measurement.get("instrument")
     if instrument not in INSTRUMENTS:
@@ -567,8 +567,9 @@ def _setup(
     for name, info in kind.setup_model.model_fields.items():
         offset = name.endswith("offset_mm") and not direct
         needed = info.is_required() or (name in kind.needs and not direct)
+        turned = name == "alignment" and kind is INSTRUMENTS["tool_tip"] and bool(roles.coordinates) and not direct
         given = f"setup.{name}" in asker.answers
-        if name in preset.get("setup", {}) or not (needed or offset or given):
+        if name in preset.get("setup", {}) or not (needed or offset or turned or given):
             continue
         choices = {str(c): c for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a)}
         default = str(list(info.default)) if offset and not needed else None
@@ -577,8 +578,11 @@ def _setup(
             default = f"{round(roles.bar_mm)}"
         if name == "direction" and instrument == "laser_diagonal" and roles.line is not None:
             default = str(list(roles.line))
-        where = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
-        text = where if offset and not needed else f"{name} of the {instrument}?"
+        text = f"{name} of the {instrument}?"
+        if offset and not needed:
+            text = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
+        if turned:
+            text, default = f"For what is the small turn of its frame against the machine unknown ({name})?", "setup"
         answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))
         if answer is not None:
             out[name] = choices[answer] if choices else _value(answer, name, asker.source)

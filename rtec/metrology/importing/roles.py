@@ -53,6 +53,8 @@ FEW_LINES = 2
 """Up to this many lines without a time count as remarks above or below the rows."""
 SMALL = 0.1
 """Deviations are below this share of the travel; an actual position differs from its nominal one by less."""
+SAME: Final = 0.05
+"""Distances that differ by a smaller share are the same, but for rounding."""
 BY_LETTER = ("tool_tip", "grid_encoder", "squareness")
 """Instruments with a reading in each of several directions."""
 BAR_MM, BAR_VARIES = 10.0, 0.01
@@ -108,6 +110,7 @@ class ColumnRoles:
         settled: questions that the file answers itself, with the answer.
         bar_mm: median of the reading where it is the length of a ball bar, else None.
         line: direction in X, Y and Z in which several axes move together; None where they do not.
+        coordinates: actual and nominal position in each direction, by letter, where the file has several.
     """
 
     def __init__(
@@ -128,6 +131,7 @@ class ColumnRoles:
         self.settled = {f"unit of {n}": u for n, u in self.units.items()}
         self.bar_mm: float | None = None
         self.line: tuple[float, ...] | None = None
+        self.coordinates: dict[str, tuple[str, str]] = {}
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             if "from" in column:
@@ -363,6 +367,9 @@ class ColumnRoles:
         actual = [n for n in rest if has(n, "actual")]
         nominal = [n for n in rest if n not in actual and self._is_position(n)]
         nominal.sort(key=lambda n: (n not in self.units, not has(n, "nominal"), words_of(n)[0] in ("position", "pos")))
+        if not readings:
+            self.coordinates = self._coordinates(actual, nominal)
+            deviations = [n for n in deviations if not self._is_length_of_deviation(n)]
         if not deviations and not readings and not (actual and nominal):
             deviations, nominal = self._by_size(rest, nominal)
             actual = []
@@ -549,10 +556,52 @@ class ColumnRoles:
             if len(deviations) > 1 or not axis_letter(name) or not self._several([name], head):
                 self._deviation(name, actual, nominal)
             return
-        if actual and nominal and (pair := self._pair(actual, nominal)):
-            name, of = pair
+        pairs = self._tool_tip(head)
+        if not pairs and actual and nominal and (pair := self._pair(actual, nominal)):
+            pairs = {"reading_um": pair}
+        for target, (name, of) in pairs.items():
             self.settled["sign"] = "+1"
-            self._take(name, "reading_um", f"actual minus nominal: less {of!r}", minus=of, **self._two_units(name, of))
+            self._take(name, target, f"actual minus nominal: less {of!r}", minus=of, **self._two_units(name, of))
+
+    def _coordinates(self, actual: Sequence[str], nominal: Sequence[str]) -> dict[str, tuple[str, str]]:
+        """The actual and the nominal position in X, Y and Z, by letter; empty where fewer than two were measured."""
+        lengths = [n for n in actual if UNITS[self.units.get(n) or "mm"].kind == "length"]
+        measured = [n for n in lengths if axis_letter(n) and np.ptp(self._finite(n)) > 0.0]
+        letters = [axis_letter(n) for n in measured]
+        first = {axis_letter(n): n for n in reversed(nominal)}
+        pairs = {
+            c: (n, first[c]) for c, n in zip(letters, measured, strict=True) if c in first and c in ("X", "Y", "Z")
+        }
+        alone = len(pairs) > 1 and len(set(letters)) == len(letters) and all(c == self._direction(c) for c in pairs)
+        return dict(sorted(pairs.items())) if alone else {}
+
+    def _is_length_of_deviation(self, name: str) -> bool:
+        """Whether a column is the distance of the actual from the nominal positions, as trackers write it."""
+        if not self.coordinates or axis_letter(name):
+            return False
+        off = [self._in_mm(a) - self._in_mm(n) for a, n in self.coordinates.values()]
+        far = np.abs(self._in_mm(name) - np.linalg.norm(off, axis=0))
+        is_length = bool(np.nanmedian(far) < SAME * np.nanmedian(np.linalg.norm(off, axis=0)))
+        if is_length:
+            self.use[name] = ("", "the length of the deviation, whose coordinates are the readings")
+        return is_length
+
+    def _in_mm(self, name: str) -> Floats:
+        """The values of a column of lengths, in mm; one without a unit is taken as in mm."""
+        return self._values(name) * UNITS[self.units.get(name) or "mm"].factor
+
+    def _tool_tip(self, head: dict[str, Any]) -> dict[str, tuple[str, str]]:
+        """The positions whose difference is a reading, by the reading; empty where the instrument reads no coordinates.
+
+        Without another answer they are of a point beside the tool, as a tracker reads them.
+        """
+        if not self.coordinates:
+            return {}
+        if head.get("instrument") is None:
+            text = "Which instrument took the readings?"
+            head["instrument"] = self.ask("instrument", text, tuple(INSTRUMENTS), "tool_tip")
+        of_letters = {f"reading_{c.lower()}_um": pair for c, pair in self.coordinates.items()}
+        return of_letters if head["instrument"] in BY_LETTER else {}
 
     def _pair(self, actual: Sequence[str], nominal: Sequence[str]) -> tuple[str, str] | None:
         """An actual position and the nominal one that it belongs to; asks where several move."""
@@ -619,9 +668,9 @@ class ColumnRoles:
         self, name: str, actual: Sequence[str], nominal: Sequence[str], unit: str, scale: float
     ) -> tuple[int | None, str]:
         """From columns of actual and nominal values, where the file has them beside the deviation."""
-        if not (actual and nominal) or not {self.units.get(actual[0]), self.units.get(nominal[0])} <= {"mm", None}:
+        if not (actual and nominal):
             return None, ""
-        difference = (self._values(actual[0]) - self._values(nominal[0])) * 1e3
+        difference = (self._in_mm(actual[0]) - self._in_mm(nominal[0])) * 1e3
         reading = convert(self._values(name) * scale, unit, "um") if UNITS[unit].kind == "length" else np.zeros(0)
         if reading.shape != difference.shape:
             return None, ""
@@ -646,7 +695,10 @@ class ColumnRoles:
         for name, letter in zip(deviations, letters, strict=True):
             given = {} if self.units.get(name) else self._unit_of_reading(name)
             if self.units.get(name) or given:
-                sign, why = self._named_sign(name, f"reading in {letter}")
+                unit, of = self.units.get(name) or given["unit"], self.coordinates.get(letter, ())
+                sign, why = self._sign(name, of[:1], of[1:], unit, given.get("scale", 1.0))
+                if sign is None:
+                    sign, why = self._named_sign(name, f"reading in {letter}")
                 self._take(name, f"reading_{letter.lower()}_um", why, **given, **({"sign": -1} if sign < 0 else {}))
         return True
 

@@ -150,6 +150,10 @@ PLACES: Final = {
     "säule": "column", "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale",
     "kühlmittel": "coolant",
 }  # fmt: skip
+AXES: Final = frozenset("xyzuvw")
+POSITIONS: Final = WORDS["nominal"] | WORDS["actual"]
+DELTA: Final = re.compile(r"(?<![^\W_])[dΔ∆][ _]?(?=[XYZUVWxyzuvw](?![^\W_]))")
+"""A difference along an axis: `dX`, `ΔX`."""
 PLACE_WORDS: Final = PLACES.keys() | set(PLACES.values())
 MINUS: Final = frozenset("-–−‐‑‒—﹣－") | {"minus", "less", "moins", "menos", "meno"}
 AGAINST: Final = frozenset({"vs", "versus", "gegen", "/"})
@@ -164,10 +168,12 @@ DIAMETERS: Final = re.compile(r"dia(m(et[a-zè]*)?)?|di[áà]met\w*|durchm\w*")
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name in lower case: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll."""
+    """The words of a name in lower case: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll; `XIst` x, ist."""
     bare = re.sub(r"([\[(][^\])]*[\])]|\sin\s+\S+)\s*$", "", name)
-    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", DIAMETER.sub(" ", bare))
-    return [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
+    bare = DELTA.sub("delta ", DIAMETER.sub(" ", bare))
+    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
+    words = [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
+    return [part for w in words for part in ((w[0], w[1:]) if w[0] in AXES and w[1:] in POSITIONS else (w,))]
 
 
 def direction_meant(word: str) -> int | None:
@@ -191,7 +197,7 @@ def in_diameter(name: str) -> bool:
 def is_nominal(name: str) -> bool:
     """Whether the name means a commanded position and nothing else: `Soll X`, not `bed_target`."""
     words = words_of(name)
-    known = WORDS["nominal"] | {"axis", "achse", "x", "y", "z", "u", "v", "w"}
+    known = WORDS["nominal"] | AXES | {"axis", "achse"}
     return bool(words) and all(w in known for w in words)
 
 
@@ -248,7 +254,7 @@ def _side(words: list[str]) -> int:
 
 def axis_letter(name: str) -> str:
     """The one axis letter in a name: `Pos X [mm]`, `x_cmd`, `X-Soll`; empty where there is none, or two."""
-    letters = [w.upper() for w in words_of(name) if w in ("x", "y", "z", "u", "v", "w")]
+    letters = [w.upper() for w in words_of(name) if w in AXES]
     return letters[0] if len(letters) == 1 else ""
 
 
