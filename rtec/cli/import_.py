@@ -44,7 +44,11 @@ def import_(
     ] = None,
     temperatures: Annotated[
         Path | None,
-        typer.Option("--temperatures", metavar="LOG", help="Log of temperatures, matched by date or time of day."),
+        typer.Option(
+            "--temperatures",
+            metavar="LOG",
+            help="Log of temperatures, also of spindle speed, feed or load; matched by date or time of day.",
+        ),
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the readers.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,

@@ -22,6 +22,10 @@ TARGET = re.compile(
 )
 
 
+LOGGED = re.compile(r"\w+_degc|spindle_rpm|feed_mm_min|load_kg", re.ASCII)
+"""Columns that may come from a log in a file of its own: what is still the same a moment later."""
+
+
 class Column(Strict):
     """`[column.NAME]`: where a column of the measurement comes from.
 
@@ -195,10 +199,12 @@ class Cycles(Strict):
 class TemperatureLog(Strict):
     """`[temperatures]`: a log of temperatures in a file of its own; it is matched by date or time of day.
 
+    Temperatures are interpolated between its rows; a spindle speed, feed or load is that of the row before.
+
     Attributes:
         file: path of the log; a relative one starts at the folder of the imported file.
         source, events, rows, time: as in the map.
-        column: where each SENSOR_degc comes from.
+        column: where each SENSOR_degc comes from, and spindle_rpm, feed_mm_min and load_kg.
     """
 
     file: str
@@ -210,9 +216,11 @@ class TemperatureLog(Strict):
 
     @field_validator("column")
     @classmethod
-    def _degc(cls, column: dict[str, Column]) -> dict[str, Column]:
-        if wrong := [n for n in column if not n.endswith("_degc")]:
-            raise ValueError(f"{wrong[0]!r} is no temperature; a log gives SENSOR_degc")
+    def _logged(cls, column: dict[str, Column]) -> dict[str, Column]:
+        if wrong := [n for n in column if not LOGGED.fullmatch(n)]:
+            raise ValueError(
+                f"{wrong[0]!r} does not come from a log; it gives SENSOR_degc, spindle_rpm, feed_mm_min, load_kg"
+            )
         return column
 
 

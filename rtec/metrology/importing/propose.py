@@ -625,7 +625,7 @@ def _temperatures(
         asker: asks for sensors that the names do not tell.
 
     Raises:
-        MeasurementError: the log has no times or no temperatures.
+        MeasurementError: the log has no times, or no temperature, spindle speed, feed or load.
     """
     if preset is None:
         return {}, ()
@@ -644,7 +644,7 @@ def _temperatures(
         raise MeasurementError(f"{path}: no column of times; a log of temperatures has one, with the time of day")
     asked = any(q.key.startswith(("sensor of", "unit of")) for q in asker.open)
     if not found["column"] and not asked:
-        raise MeasurementError(f"{path}: no column of temperatures of a sensor")
+        raise MeasurementError(f"{path}: no column of temperatures of a sensor, of a spindle speed, feed or load")
     there = content["column"]
     taken = {n: c for n, c in found["column"].items() if n not in there}
     source = {"file": preset["file"], "source": read.source, **({"events": events} if events else {})}

@@ -153,10 +153,11 @@ class ColumnRoles:
         return out | {"column": self.columns}
 
     def log(self) -> dict[str, Any]:
-        """`[temperatures]` without the file: the time, and the columns of temperatures."""
+        """`[temperatures]` without the file: the time, and columns of temperatures, spindle speed, feed and load."""
         time = dict(self.preset.get("time", {})) or self._time()
         self._temperatures()
-        out: dict[str, Any] = {"time": time, "column": {n: c for n, c in self.columns.items() if n.endswith("_degc")}}
+        self._motion()
+        out: dict[str, Any] = {"time": time, "column": self.columns}
         if rows := dict(self.preset.get("rows", {})) or self._rows(time.get("column")):
             out["rows"] = rows
         return out
@@ -340,15 +341,23 @@ class ColumnRoles:
         return "" if answer == LEAVE else answer
 
     def _motion(self) -> None:
-        for name in self._free():
+        """Spindle speed, feed and load; of two the one that is no setting, else the first."""
+        for name in sorted(self._free(), key=lambda n: has(n, "setting") or has(n, "nominal")):
             unit = self.units.get(name, "")
             kind = UNITS[unit].kind if unit else ""
+            keys = {}
             if kind == "turning" or (not unit and has(name, "spindle")):
-                self._take(name, "spindle_rpm", "the spindle's speed", **({} if unit else {"unit": "rpm"}))
+                target, what, keys = "spindle_rpm", "the spindle's speed", {} if unit else {"unit": "rpm"}
             elif kind == "speed" and (has(name, "feed") or words_of(name)[:1] == ["f"]):
-                self._take(name, "feed_mm_min", "feed")
+                target, what = "feed_mm_min", "feed"
             elif kind == "mass":
-                self._take(name, "load_kg", "load")
+                target, what = "load_kg", "load"
+            else:
+                continue
+            if target in self.columns:
+                self.use[name] = ("", f"a second column of {target}")
+            else:
+                self._take(name, target, what, **keys)
 
     # --- positions and readings
 
