@@ -107,7 +107,9 @@ def _proposal(
     if reader is not None:
         preset = preset | {"source": {**preset.get("source", {}), "reader": reader}}
     if temperatures is not None:
-        preset = preset | {"temperatures": {"file": beside(temperatures, file)}}
+        known = preset.get("temperatures")
+        known = known if isinstance(known, dict) else {}
+        preset = preset | {"temperatures": {**known, "file": beside(temperatures, file)}}
     given = {}
     for text in answers:
         # A column's name may contain "=", as may an answer that is a table: probe={z={direction="Z"}}.

@@ -126,3 +126,42 @@ def test_no_position_comes_from_a_log(tmp_path: Path) -> None:
     written.write_text(tomli_w.dumps(content), encoding="utf-8")
     with pytest.raises(MeasurementError, match=r"'z_mm' does not come from a log; it gives SENSOR_degc, spindle_rpm"):
         load_map(written)
+
+
+# --- a map that has the log already
+
+
+def made_map(folder: Path) -> Path:
+    """A map of an import with a sensor and a column of the log that were asked for; the latter was left out."""
+    file, path = (
+        laser(folder),
+        log(folder, {"Fuehler 3 [°C]": 20.0 + LOG_S / 100.0, "Fuehler 4 [°C]": 20.0 + LOG_S / 50.0}),
+    )
+    given = ["sensor of Fuehler 3 [°C]=T_bed", "sensor of Fuehler 4 [°C]=leave out"]
+    answers = [x for a in given for x in ("--answer", a)]
+    command = ["import", str(file), "--temperatures", str(path), "-m", str(TURNING), *answers]
+    assert status([*command, "-o", str(folder / "first")]) == 0
+    return folder / "first-map.toml"
+
+
+@pytest.mark.parametrize("answers", [[], ["--answer", "sensor of Fuehler 3 [°C]=T_bed"]])
+def test_a_map_that_names_the_sensors_is_not_asked_for_them_again(answers: list[str], tmp_path: Path) -> None:
+    """Tuesday's log comes with Monday's map; a repeated answer does no harm."""
+    map_ = made_map(tmp_path)
+    tuesday = tmp_path / "tuesday"
+    tuesday.mkdir()
+    path = log(tuesday, {"Fuehler 3 [°C]": 20.0 + LOG_S / 100.0 + 1.0, "Fuehler 4 [°C]": 20.0 + LOG_S / 50.0})
+    command = ["import", str(laser(tmp_path)), "--map", str(map_), "--temperatures", str(path), "-m", str(TURNING)]
+    assert status([*command, *answers, "-o", str(tmp_path / "second")]) == 0
+    m = load_measurement(tmp_path / "second", MACHINE)
+    np.testing.assert_allclose(m.channels["T_bed"], 21.0 + READ_S / 100.0, atol=1e-9)
+    assert any("tuesday/logger.csv" in n and n.startswith("temperatures from") for n in m.notes)
+    assert "columns of logger.csv not used: Fuehler 4 [°C]" in m.notes
+
+
+def test_an_answer_against_the_map_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    map_ = made_map(tmp_path)
+    command = ["import", str(tmp_path / "laser.csv"), "--map", str(map_), "-m", str(TURNING)]
+    command += ["--temperatures", str(tmp_path / "logger.csv"), "--answer", "sensor of Fuehler 3 [°C]=T_air"]
+    assert status([*command, "-o", str(tmp_path / "second")]) == 2
+    assert "'sensor of Fuehler 3 [°C]' is no question here: the file shows 'T_bed'" in capsys.readouterr().err

@@ -24,8 +24,8 @@ from rtec.machine import Machine
 from rtec.metrology.importing.apply import chosen
 from rtec.metrology.importing.cycles import cycles_of, from_cycles
 from rtec.metrology.importing.diameters import halve_diameters
-from rtec.metrology.importing.map import Cycles, ImportMap
-from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles
+from rtec.metrology.importing.map import Cycles, ImportMap, TemperatureLog
+from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles, sensors_of
 from rtec.metrology.importing.rows import from_events
 from rtec.metrology.importing.words import has, unknown_unit
 from rtec.metrology.instruments.base import Instrument
@@ -617,6 +617,8 @@ def _temperatures(
 ) -> tuple[dict[str, Any], tuple[Guess, ...]]:
     """Add `[temperatures]`, a log in a file of its own, to a map; give the log's columns, and conclusions.
 
+    One that says where the time and the columns come from is kept as it is.
+
     Args:
         preset: known keys of `[temperatures]`, `file` at least; None: there is no log.
         beside: the imported file; a relative path of the log starts at its folder.
@@ -632,6 +634,13 @@ def _temperatures(
     if not isinstance(preset, Mapping) or not isinstance(preset.get("file"), str):
         raise MeasurementError(f"{beside}: [temperatures] file is missing: the path of the log")
     path = beside.parent / preset["file"]
+    there = content["column"]
+    if {"time", "column"} <= preset.keys():
+        known = validated(TemperatureLog, preset, f"{beside}: [temperatures]", MeasurementError)
+        taken = {n: c for n, c in preset["column"].items() if n not in there}
+        content["temperatures"] = {**preset, "column": taken}
+        own.settled |= sensors_of(preset["column"])
+        return taken, _from_log({n: c.from_ for n, c in known.column.items()}, there, path)
     asker.log = str(path)
     read = _read(path, dict(preset.get("source", {})), asker)
     table = chosen(read.tables, preset.get("source", {}).get("table"), str(path))
@@ -645,14 +654,20 @@ def _temperatures(
     asked = any(q.key.startswith(("sensor of", "unit of")) for q in asker.open)
     if not found["column"] and not asked:
         raise MeasurementError(f"{path}: no column of temperatures of a sensor, of a spindle speed, feed or load")
-    there = content["column"]
     taken = {n: c for n, c in found["column"].items() if n not in there}
     source = {"file": preset["file"], "source": read.source, **({"events": events} if events else {})}
     content["temperatures"] = source | found | {"column": taken}
     own.settled |= roles.settled
-    guesses = [Guess("temperatures", c["from"], f"{n}, a column of {path.name}") for n, c in taken.items()]
-    guesses += [Guess("temperatures", None, f"{n} is in the file itself") for n in found["column"] if n in there]
-    return taken, tuple(guesses)
+    return taken, _from_log({n: c["from"] for n, c in found["column"].items()}, there, path)
+
+
+def _from_log(columns: Mapping[str, str], there: Mapping[str, Any], path: Path) -> tuple[Guess, ...]:
+    """Conclusions on the columns of a log, given with their names in it; those `there` are not taken from it."""
+    guesses = [
+        Guess("temperatures", name, f"{n}, a column of {path.name}") for n, name in columns.items() if n not in there
+    ]
+    guesses += [Guess("temperatures", None, f"{n} is in the file itself") for n in columns if n in there]
+    return tuple(guesses)
 
 
 CONSTANT = re.compile(r"[a-z][a-z0-9]*_mm|\w+_degc")

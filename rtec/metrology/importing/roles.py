@@ -92,6 +92,12 @@ class _When:
     reason: str
 
 
+def sensors_of(columns: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """The questions about sensors that the columns of a map answer."""
+    named = {n: c["from"] for n, c in columns.items() if n.endswith("_degc") and "from" in c}
+    return {f"sensor of {name}": target.removesuffix("_degc") for target, name in named.items()}
+
+
 class ColumnRoles:
     """Assigns roles to the columns of a table.
 
@@ -136,6 +142,7 @@ class ColumnRoles:
         for target, column in self.columns.items():
             if "from" in column:
                 self.use[str(column["from"])] = (target, "given")
+        self.settled |= sensors_of(self.columns)
 
     def content(self) -> dict[str, Any]:
         """The map without `[source]`, `[events]` and `[setup]`."""
