@@ -216,7 +216,10 @@ def _show(done: "Imported") -> None:
     for note in facts["notes"]:
         typer.echo(f"  {note}")
     table = Path(facts["table"])
-    typer.echo(f"{counted(done.rows_in, 'row')} in, {counted(done.rows_out, 'row')} out: {table} and {table.stem}.toml")
+    rows = f"{counted(done.rows_in, 'row')} in, {counted(done.rows_out, 'row')} out"
+    if done.measurement is not None and len(done.measurement) < done.rows_out:
+        rows += f", {len(done.measurement)} of them used"
+    typer.echo(f"{rows}: {table} and {table.stem}.toml")
     if not facts["checked"]:
         typer.echo("not checked against a machine; --machine MACHINE.toml checks it")
 
