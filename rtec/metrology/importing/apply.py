@@ -313,10 +313,12 @@ def _put_in_place_at_end(table: Path) -> Iterator[Path]:
 
 
 def _number(text: str) -> float | None:
+    """A finite number; None for a word, which NaN is, too."""
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         return None
+    return number if np.isfinite(number) else None
 
 
 def _may_write(table: Path, inputs: Sequence[Path], *, force: bool) -> None:

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -11,7 +11,15 @@ from rtec.metrology.files.toml import MeasurementTable
 from rtec.metrology.importing.rows import condition
 from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.units import UNITS, canonical
-from rtec.quantities import Code, Coefficient, Factor, MillimetresNotNegative, MillimetresPositive, SecondsPositive
+from rtec.quantities import (
+    BUT_NAN,
+    Code,
+    Coefficient,
+    Factor,
+    MillimetresNotNegative,
+    MillimetresPositive,
+    SecondsPositive,
+)
 from rtec.tomlfile import Strict, read_toml, validated
 
 FORMS = ("iso", "filetime", "excel", "unix")
@@ -57,7 +65,7 @@ class Column(Strict):
     offset: Coefficient = 0.0
     fill: Literal["hold"] | None = None
     values: dict[str, Coefficient] = Field(default_factory=dict)
-    missing_codes: tuple[Code, ...] = ()
+    missing_codes: Annotated[tuple[Code, ...], BUT_NAN] = ()
 
     @field_validator("unit", "minus_unit")
     @classmethod
