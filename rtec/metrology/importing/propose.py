@@ -578,6 +578,8 @@ def _setup(
             default = f"{round(roles.bar_mm)}"
         if name == "direction" and instrument == "laser_diagonal" and roles.line is not None:
             default = str(list(roles.line))
+        if name == "feature" and roles.reads_diameter:
+            default = "diameter"
         text = f"{name} of the {instrument}?"
         if offset and not needed:
             text = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"

@@ -19,7 +19,9 @@ from rtec.metrology.importing.words import (
     difference,
     direction_meant,
     has,
+    in_diameter,
     is_nominal,
+    is_part,
     is_place,
     sensor_called,
     sensor_name,
@@ -116,6 +118,7 @@ class ColumnRoles:
         settled: questions that the file answers itself, with the answer.
         bar_mm: median of the reading where it is the length of a ball bar, else None.
         line: direction in X, Y and Z in which several axes move together; None where they do not.
+        of_parts: whether the runs are parts, by the name of their column.
         coordinates: actual and nominal position in each direction, by letter, where the file has several.
     """
 
@@ -138,6 +141,7 @@ class ColumnRoles:
         self.bar_mm: float | None = None
         self.line: tuple[float, ...] | None = None
         self.coordinates: dict[str, tuple[str, str]] = {}
+        self.of_parts = False
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             if "from" in column:
@@ -293,10 +297,24 @@ class ColumnRoles:
     def _run_column(self) -> dict[str, Any]:
         for name in self._free():
             values = self._values(name)
-            if has(name, "run") and np.array_equal(values, np.round(values)) and not self._is_direction(name):
-                self.use[name] = ("run", "numbers of runs, by its name")
+            if not np.array_equal(values, np.round(values)) or self._is_direction(name):
+                continue
+            self.of_parts = self._is_part(name, values)
+            if has(name, "run") or self.of_parts:
+                self.use[name] = ("run", f"numbers of {'parts' if self.of_parts else 'runs'}, by its name")
                 return {"column": name}
         return {}
+
+    def _is_part(self, name: str, values: Floats) -> bool:
+        """Whether a column has the numbers of parts by its name, and the rows of each part are together."""
+        together = np.count_nonzero(np.diff(values)) == len(np.unique(values)) - 1
+        return is_part(name) and together and not self.units.get(name) and not self._warm(name)
+
+    @property
+    def reads_diameter(self) -> bool:
+        """Whether the reading is the diameter of a part: by its name, which has no axis."""
+        name = self.columns.get("reading_um", {}).get("from", "")
+        return in_diameter(name) and not axis_letter(name)
 
     def _temperatures(self) -> None:
         sensors = self.machine.sensor_names if self.machine else ()
@@ -732,6 +750,8 @@ class ColumnRoles:
                 places = np.column_stack([self._values(n) for n in by_axis])
                 self.line = diagonal(places, [self._direction(letter) for letter in by_axis.values()])
                 usual = usual if self.line is None else "laser_diagonal"
+            if usual and (self.of_parts or (self.reads_diameter and "minus" in self.columns["reading_um"])):
+                usual = "work_piece"
             answer = self.ask("instrument", "Which instrument took the readings?", tuple(INSTRUMENTS), usual)
             if answer:
                 head["instrument"] = answer

@@ -29,6 +29,9 @@ WORDS: Final[dict[str, frozenset[str]]] = {
     "run": frozenset(
         {"run", "lauf", "cycle", "zyklus", "zyk", "pass", "durchgang", "durchlauf", "messreihe", "series"}
     ),
+    "part": frozenset(
+        {"part", "teil", "bauteil", "werkstück", "werkstueck", "workpiece", "piece", "pièce", "pieza", "pezzo"}
+    ),
     "direction": frozenset(
         {
             "direction",
@@ -199,6 +202,11 @@ def is_nominal(name: str) -> bool:
     words = words_of(name)
     known = WORDS["nominal"] | AXES | {"axis", "achse"}
     return bool(words) and all(w in known for w in words)
+
+
+def is_part(name: str) -> bool:
+    """Whether the name means the number of a part and nothing else: `Part no`, `Werkstück`, not `Part length`."""
+    return has(name, "part") and all(w in WORDS["part"] | WORDS["index"] for w in words_of(name))
 
 
 def difference(name: str) -> int | None:
