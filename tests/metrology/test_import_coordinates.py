@@ -184,3 +184,32 @@ def test_one_line_of_points_shows_its_own_turn(tmp_path: Path) -> None:
     path.write_text("\n".join([head, *text]), encoding="utf-8")
     with pytest.raises(MeasurementError, match=r"in another frame.*turned by 30°"):
         readings_um(path)
+
+
+# --- readings whose names have no letter
+
+
+@pytest.mark.parametrize(
+    ("names", "answers"),
+    [
+        (("X [mm]", "Deviation [um]"), {}),
+        (("Soll [mm]", "Ist [mm]"), {"axis": "X"}),
+        (("X [mm]", "Probe 1 [um]", "Probe 2 [um]"), {"reading": "Probe 1 [um]"}),
+    ],
+)
+def test_a_coordinate_that_no_name_tells_is_asked(
+    names: tuple[str, ...], answers: dict[str, str], tmp_path: Path
+) -> None:
+    """A tool tip has no reading without a direction."""
+    x, error_um = PLACES[:, 0], ERRORS_UM[:, 0]
+    read = 1e-3 * error_um + x if names[1] == "Ist [mm]" else error_um
+    rows = [";".join(f"{v:.4f}" for v in row) for row in np.column_stack([x, *[read] * (len(names) - 1)])]
+    path = tmp_path / "one.csv"
+    lines = [f"{18 * i};{row}" for i, row in enumerate(rows)]
+    path.write_text("\n".join([f"t [s];{';'.join(names)}", *lines]), encoding="utf-8")
+    asked = proposed(path, instrument="tool_tip", **answers)
+    assert [(q.key, q.choices) for q in asked.open] == [("coordinate", ("X", "Y", "Z"))]
+    how = asked.answered({"coordinate": "Z"}).import_map()
+    m = import_to_files(path, how, tmp_path / "made", MACHINE).measurement
+    assert m is not None
+    np.testing.assert_allclose(m.readings["reading_z_um"], error_um, atol=1e-6)

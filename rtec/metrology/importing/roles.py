@@ -158,6 +158,9 @@ class ColumnRoles:
         if not run:
             run = self._runs(measurement)
         self._directions(measurement)
+        kind = INSTRUMENTS.get(measurement.get("instrument", ""))
+        if kind is not None and kind.axis_use == "none" and "axis" not in self.preset.get("measurement", {}):
+            measurement.pop("axis", None)
         out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.preset.get("run", run))}
         if rows := dict(self.preset.get("rows", {})) or self._rows(time.get("column")):
             out["rows"] = rows
@@ -588,11 +591,11 @@ class ColumnRoles:
             if head.get("instrument") == "ball_bar" and self._bar(name):
                 return
             if len(deviations) > 1 or not axis_letter(name) or not self._several([name], head):
-                self._deviation(name, actual, nominal)
+                self._deviation(name, actual, nominal, head)
             return
         pairs = self._tool_tip(head)
         if not pairs and actual and nominal and (pair := self._pair(actual, nominal)):
-            pairs = {"reading_um": pair}
+            pairs = {self._coordinate(pair[0], head): pair}
         for target, (name, of) in pairs.items():
             self.settled["sign"] = "+1"
             self._take(name, target, f"actual minus nominal: less {of!r}", minus=of, **self._two_units(name, of))
@@ -661,13 +664,21 @@ class ColumnRoles:
         known = self.table.units.get(of) or (unit and unit["unit"] == less["unit"])
         return unit | ({} if known else {"minus_unit": less["unit"]})
 
-    def _deviation(self, name: str, actual: Sequence[str], nominal: Sequence[str]) -> None:
+    def _coordinate(self, name: str, head: Mapping[str, Any]) -> str:
+        """The column of a length that is read: of a tool tip with its direction, which is asked if no name tells it."""
+        if head.get("instrument") != "tool_tip" or head.get("component"):
+            return "reading_um"
+        text = f"In which direction of the machine is {name!r} a reading?"
+        letter = axis_letter(name) or self.ask("coordinate", text, ("X", "Y", "Z"), None)
+        return f"reading_{letter.lower()}_um" if letter else "reading_um"
+
+    def _deviation(self, name: str, actual: Sequence[str], nominal: Sequence[str], head: Mapping[str, Any]) -> None:
         keys = {} if self.units.get(name) else self._unit_of_reading(name)
         unit = self.units.get(name) or keys.get("unit", "")
         if not unit:
             self.use[name] = ("", "the reading, in a unit not known yet")
             return
-        target = "reading_urad" if UNITS[unit].kind == "angle" else "reading_um"
+        target = "reading_urad" if UNITS[unit].kind == "angle" else self._coordinate(name, head)
         sign, why = self._sign(name, actual, nominal, unit, keys.get("scale", 1.0))
         if sign is None:
             sign, why = self._named_sign(name, "the reading")
