@@ -107,6 +107,13 @@ def test_of_two_speeds_the_actual_one_is_taken(tmp_path: Path) -> None:
     assert "columns of logger.csv not used: Drehzahl Soll [1/min]" in notes
 
 
+@pytest.mark.parametrize("name", ["Fan speed", "Fan [rpm]", "Kühlmittelpumpe Drehzahl [1/min]", "Spindle speed [%]"])
+def test_another_speed_is_not_the_spindle_s(name: str, tmp_path: Path) -> None:
+    columns, notes = columns_of(tmp_path, log(tmp_path, {name: RPM + 7.0, "Drehzahl [1/min]": RPM}))
+    np.testing.assert_array_equal(columns["spindle_rpm"], HELD)
+    assert f"columns of logger.csv not used: {name}" in notes
+
+
 def test_every_column_of_the_log_that_is_not_used_is_named_in_one_note(tmp_path: Path) -> None:
     more = {"Load [%]": RPM / 100.0, "Status": np.full(len(LOG_S), "ok"), "Drehzahl [1/min]": RPM}
     _, notes = columns_of(tmp_path, log(tmp_path, more))

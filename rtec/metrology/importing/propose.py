@@ -584,7 +584,8 @@ def _setup(
         if offset and not needed:
             text = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
         if turned:
-            text, default = f"For what is the small turn of its frame against the machine unknown ({name})?", "setup"
+            text = f"May the fit turn its frame by a small angle ({name}): once (setup), in every run, or not (none)?"
+            default = "setup"
         answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))
         if answer is not None:
             out[name] = choices[answer] if choices else _value(answer, name, asker.source)

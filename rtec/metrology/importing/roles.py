@@ -27,6 +27,7 @@ from rtec.metrology.importing.words import (
     sensor_name,
     sensors_like,
     sign_said,
+    turns_other,
     unknown_unit,
     words_of,
 )
@@ -374,7 +375,7 @@ class ColumnRoles:
             unit = self.units.get(name, "")
             kind = UNITS[unit].kind if unit else ""
             keys = {}
-            if kind == "turning" or (not unit and has(name, "spindle")):
+            if (kind == "turning" or (not unit and has(name, "spindle"))) and not turns_other(name):
                 target, what, keys = "spindle_rpm", "the spindle's speed", {} if unit else {"unit": "rpm"}
             elif kind == "speed" and (has(name, "feed") or words_of(name)[:1] == ["f"]):
                 target, what = "feed_mm_min", "feed"

@@ -157,6 +157,7 @@ AXES: Final = frozenset("xyzuvw")
 POSITIONS: Final = WORDS["nominal"] | WORDS["actual"]
 DELTA: Final = re.compile(r"(?<![^\W_])[dΔ∆][ _]?(?=[XYZUVWxyzuvw](?![^\W_]))")
 """A difference along an axis: `dX`, `ΔX`."""
+TURNS_OTHER: Final = re.compile(r"fan|pump|lüfter|ventilator|gebläse|blower|cooler|chiller")
 PLACE_WORDS: Final = PLACES.keys() | set(PLACES.values())
 MINUS: Final = frozenset("-–−‐‑‒—﹣－") | {"minus", "less", "moins", "menos", "meno"}
 AGAINST: Final = frozenset({"vs", "versus", "gegen", "/"})
@@ -202,6 +203,11 @@ def is_nominal(name: str) -> bool:
     words = words_of(name)
     known = WORDS["nominal"] | AXES | {"axis", "achse"}
     return bool(words) and all(w in known for w in words)
+
+
+def turns_other(name: str) -> bool:
+    """Whether a speed is not that of the spindle: of a fan or a pump, or a share of it in %."""
+    return "%" in name or TURNS_OTHER.search(name.lower()) is not None
 
 
 def is_part(name: str) -> bool:
