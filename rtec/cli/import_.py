@@ -122,11 +122,12 @@ def _proposal(
 
 
 def _is_whole(map_: Path) -> bool:
-    """Whether a map has all that an import needs; otherwise the missing parts are proposed."""
+    """Whether a map has all that an import needs."""
     from rtec.errors import MeasurementError
+    from rtec.metrology.importing.map import WHOLE
     from rtec.tomlfile import read_toml
 
-    return {"measurement", "time", "column"} <= read_toml(map_, MeasurementError).keys()
+    return read_toml(map_, MeasurementError).keys() >= WHOLE
 
 
 def _somebody_is_there() -> bool:

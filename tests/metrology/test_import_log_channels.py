@@ -172,3 +172,18 @@ def test_an_answer_against_the_map_is_refused(tmp_path: Path, capsys: pytest.Cap
     command += ["--temperatures", str(tmp_path / "logger.csv"), "--answer", "sensor of Fuehler 3 [°C]=T_air"]
     assert status([*command, "-o", str(tmp_path / "second")]) == 2
     assert "'sensor of Fuehler 3 [°C]' is no question here: the file shows 'T_bed'" in capsys.readouterr().err
+
+
+def test_a_whole_map_does_not_ask_for_columns_that_it_leaves_out(tmp_path: Path) -> None:
+    """The readings' file has a sensor that the user left out, too."""
+    file = laser(tmp_path)
+    lines = file.read_text(encoding="utf-8").splitlines()
+    more = [f"{line};{'Fuehler 9 [°C]' if i == 0 else 21.5}" for i, line in enumerate(lines)]
+    file.write_text("\n".join(more), encoding="utf-8")
+    path = log(tmp_path, {})
+    left = ["--answer", "sensor of Fuehler 9 [°C]=leave out"]
+    command = ["import", str(file), "--temperatures", str(path), "-m", str(TURNING)]
+    assert status([*command, *left, "-o", str(tmp_path / "first")]) == 0
+    again = [*command, "--map", str(tmp_path / "first-map.toml"), "-o", str(tmp_path / "second")]
+    assert status(again) == 0
+    assert status([*again, *left, "--force"]) == 0

@@ -30,6 +30,8 @@ TARGET = re.compile(
 )
 
 
+WHOLE = frozenset({"measurement", "time", "column"})
+"""A map with these tables has all that an import needs; the missing parts of another one are proposed."""
 LOGGED = re.compile(r"\w+_degc|spindle_rpm|feed_mm_min|load_kg", re.ASCII)
 """Columns that may come from a log in a file of its own: what is still the same a moment later."""
 

@@ -13,6 +13,7 @@ from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.diagonal import diagonal
+from rtec.metrology.importing.map import WHOLE
 from rtec.metrology.importing.words import (
     axis_letter,
     bare_unit,
@@ -366,7 +367,8 @@ class ColumnRoles:
             self.settled[f"sensor of {name}"] = fitting[0]
             return fitting[0]
         choices = (*(fitting or sensors), LEAVE)
-        answer = self.ask(f"sensor of {name}", f"Which sensor of the machine is {name!r}?", choices, None)
+        usual = LEAVE if self.preset.keys() >= WHOLE else None
+        answer = self.ask(f"sensor of {name}", f"Which sensor of the machine is {name!r}?", choices, usual)
         return "" if answer == LEAVE else answer
 
     def _motion(self) -> None:
