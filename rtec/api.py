@@ -123,7 +123,8 @@ def propose_import(
         path: the table.
         machine: machine of the measurement; its axes and sensors are matched with the columns.
         answers: answers to questions, by key; `ImportProposal.answered` adds more.
-        temperatures: log of temperatures in a file of its own, matched by date or time of day.
+        temperatures: log of temperatures in a file of its own, also of spindle speed, feed or load; matched by date or
+            time of day.
 
     Raises:
         MeasurementError: the file is no table, or an answer is not allowed.

@@ -5,9 +5,10 @@ far beyond any machine tool, but small enough that a result of two of them fits 
 nanoseconds or counts. A model with narrower bounds (`Field(ge=1, le=4000)`) has them in its own code.
 """
 
-from typing import Annotated, Final
+import math
+from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 SMALLEST: Final = 1e-9
 """Least absolute value of a number that may be zero: a smaller one divides like zero without being zero."""
@@ -23,6 +24,11 @@ def _not_zero(value: float) -> float:
     if abs(value) < SMALLEST:
         raise ValueError(f"must not be 0: its size is at least {SMALLEST:g}")
     return value
+
+
+def _but_nan(codes: Any) -> Any:
+    listed = isinstance(codes, list | tuple)
+    return tuple(c for c in codes if not (isinstance(c, float) and math.isnan(c))) if listed else codes
 
 
 ZeroOrMore: Final = AfterValidator(_zero_or_more)
@@ -69,5 +75,7 @@ Factor = Annotated[float, Field(ge=-1e12, le=1e12), AfterValidator(_not_zero)]
 """A factor of readings."""
 Code = Annotated[float, Field(ge=-(2.0**64), le=2.0**64)]
 """A reading that a device sends in place of a value: it may be any integer of 64 bits."""
+BUT_NAN: Final = BeforeValidator(_but_nan)
+"""Of a list of codes: NaN is not kept, as it is missing by itself."""
 Whole = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]

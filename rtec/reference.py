@@ -418,6 +418,7 @@ EXAMPLES: Final[Mapping[str, str]] = {
     "map.time.date": '"Datum"',
     "map.time.unit": '"s"',
     "map.time.format": '"%H:%M:%S"',
+    "map.time.zone": '"Europe/Berlin"',
     "map.time.step_s": "5.0",
     "map.run.column": '"run"',
     "map.run.direction_of": '"x_mm"',

@@ -44,7 +44,11 @@ def import_(
     ] = None,
     temperatures: Annotated[
         Path | None,
-        typer.Option("--temperatures", metavar="LOG", help="Log of temperatures, matched by date or time of day."),
+        typer.Option(
+            "--temperatures",
+            metavar="LOG",
+            help="Log of temperatures, also of spindle speed, feed or load; matched by date or time of day.",
+        ),
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the readers.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
@@ -103,7 +107,9 @@ def _proposal(
     if reader is not None:
         preset = preset | {"source": {**preset.get("source", {}), "reader": reader}}
     if temperatures is not None:
-        preset = preset | {"temperatures": {"file": beside(temperatures, file)}}
+        known = preset.get("temperatures")
+        known = known if isinstance(known, dict) else {}
+        preset = preset | {"temperatures": {**known, "file": beside(temperatures, file)}}
     given = {}
     for text in answers:
         # A column's name may contain "=", as may an answer that is a table: probe={z={direction="Z"}}.
@@ -116,11 +122,12 @@ def _proposal(
 
 
 def _is_whole(map_: Path) -> bool:
-    """Whether a map has all that an import needs; otherwise the missing parts are proposed."""
+    """Whether a map has all that an import needs."""
     from rtec.errors import MeasurementError
+    from rtec.metrology.importing.map import WHOLE
     from rtec.tomlfile import read_toml
 
-    return {"measurement", "time", "column"} <= read_toml(map_, MeasurementError).keys()
+    return read_toml(map_, MeasurementError).keys() >= WHOLE
 
 
 def _somebody_is_there() -> bool:
@@ -210,7 +217,10 @@ def _show(done: "Imported") -> None:
     for note in facts["notes"]:
         typer.echo(f"  {note}")
     table = Path(facts["table"])
-    typer.echo(f"{counted(done.rows_in, 'row')} in, {counted(done.rows_out, 'row')} out: {table} and {table.stem}.toml")
+    rows = f"{counted(done.rows_in, 'row')} in, {counted(done.rows_out, 'row')} out"
+    if done.measurement is not None and len(done.measurement) < done.rows_out:
+        rows += f", {len(done.measurement)} of them used"
+    typer.echo(f"{rows}: {table} and {table.stem}.toml")
     if not facts["checked"]:
         typer.echo("not checked against a machine; --machine MACHINE.toml checks it")
 

@@ -456,6 +456,40 @@ def test_a_word_as_missing_code(tmp_path: Path) -> None:
     assert np.flatnonzero(np.isnan(m.readings["reading_um"])).tolist() == [2]
 
 
+@pytest.mark.parametrize("code", ["NaN", "nan", "inf"])
+@pytest.mark.parametrize("cell", ["NaN", ""])
+def test_what_is_no_number_is_missing_by_itself(code: str, cell: str, tmp_path: Path) -> None:
+    """Oracle: the same import without the option."""
+    table = TABLE.replace(",3\n", f",{cell}\n", 1)
+    start = ["import", str(put(tmp_path, table)), "--map", str(a_map(tmp_path)), "--machine", str(TURNING)]
+    assert status([*start, "-o", str(tmp_path / "plain")]) == 0
+    assert status([*start, "-o", str(tmp_path / "coded"), "--missing-code", code]) == 0
+    for suffix in (".csv", ".toml"):
+        one, other = ((tmp_path / name).with_suffix(suffix).read_text() for name in ("plain", "coded"))
+        assert one == other
+
+
+def test_nan_as_a_code_in_a_map_does_nothing(tmp_path: Path) -> None:
+    """Oracle: the same map without it."""
+    file = put(tmp_path, TABLE.replace(",3\n", ",NaN\n", 1))
+    plain = {"reading_um": {"from": "e", "unit": "um"}}
+    coded = {"reading_um": {"from": "e", "unit": "um", "missing_codes": [float("nan")]}}
+    one, other = (import_table(file, load_map(a_map(tmp_path, column=c))) for c in (plain, coded))
+    np.testing.assert_array_equal(one.columns["reading_um"], other.columns["reading_um"])
+    assert one.notes == other.notes
+
+
+def test_the_last_line_tells_how_many_rows_are_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: three of five rows have no temperature."""
+    table = TABLE.replace("t,x,e", "t,x,e,T").replace("\n", ",\n").replace("T,\n", "T\n").replace(",\n", ",20\n", 2)
+    more = {"T_bed_degc": {"from": "T", "unit": "degc"}}
+    start = ["import", str(put(tmp_path, table)), "--map", str(a_map(tmp_path, column=more)), "-o", str(tmp_path / "o")]
+    assert status([*start, "--machine", str(TURNING), "--drop-bad-rows"]) == 0
+    said = capsys.readouterr().out
+    assert "3 of 5 rows left out in all" in said
+    assert said.splitlines()[-1] == f"5 rows in, 5 rows out, 2 of them used: {tmp_path / 'o.csv'} and o.toml"
+
+
 def test_list_names_every_reader(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["import", "--list"]) == 0
     said = capsys.readouterr().out

@@ -379,8 +379,8 @@ def test_an_ambiguous_comma_is_asked(tmp_path: Path) -> None:
     text = "t s;dev um\n1;1,234\n2;2,345\n3;1,111\n"
     p = proposed(tmp_path, text)
     assert [q.choices for q in p.questions if q.key == "decimal"] == [(",", ".")]
-    answered = p.answered({"decimal": ".", "instrument": "tool_tip"})
-    assert import_table(p.path, answered.import_map()).columns["reading_um"].tolist() == [1234.0, 2345.0, 1111.0]
+    answered = p.answered({"decimal": ".", "instrument": "tool_tip", "coordinate": "Z"})
+    assert import_table(p.path, answered.import_map()).columns["reading_z_um"].tolist() == [1234.0, 2345.0, 1111.0]
 
 
 def test_an_odd_cell_among_numbers_is_named_and_not_guessed(tmp_path: Path) -> None:
@@ -821,7 +821,7 @@ def test_a_torque_in_brackets_is_no_nanometre(tmp_path: Path) -> None:
         ("probe_thermal", "probe_accuracy_superpinda.json",
          {"reading": "z", "unit of z": "mm", "instrument": "tool_tip", "machine": "m"}, 1430, "z"),
         ("spindle_thermal", "caiviac_spindle_thermal_15s_to_60s.csv",
-         {"reading": "ch3_um", "instrument": "tool_tip", "machine": "m"}, 2779, "ch3_um"),
+         {"reading": "ch3_um", "instrument": "tool_tip", "coordinate": "Z", "machine": "m"}, 2779, "ch3_um"),
         ("iso230_positioning", "b02-x_target_x.md_ISO230.dat", {"axis": "X", "machine": "m"}, 90, "deviation"),
     ],
 )  # fmt: skip

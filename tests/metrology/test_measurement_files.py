@@ -215,6 +215,7 @@ def test_missing_codes(tmp_path: Path) -> None:
     assert load_measurement(table, machine(), Leniency(accept_values=(9999.0,))).readings["reading_um"][4] == 9999.0
     m = load_measurement(write(tmp_path, spoilt(6, "reading_um", "OL")), machine(), Leniency(missing_codes=("OL",)))
     assert np.isnan(m.readings["reading_um"][4])
+    assert Leniency(missing_codes=(float("nan"), 9999.0)).missing_codes == (9999.0,)  # NaN is missing by itself
 
 
 def test_a_temperature_may_be_held_for_a_while(tmp_path: Path) -> None:

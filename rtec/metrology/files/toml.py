@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from rtec.errors import MeasurementError
-from rtec.quantities import Code, SecondsPositive
+from rtec.quantities import BUT_NAN, Code, SecondsPositive
 from rtec.tomlfile import Strict, read_kind, validated
 
 TABLES = (".csv", ".parquet")
@@ -32,7 +32,7 @@ class Leniency(Strict):
     encoding: Literal["utf-8", "latin-1", "cp1252", "utf-16", "utf-16-le", "utf-16-be"] | None = None
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
-    missing_codes: tuple[Code | str, ...] = ()
+    missing_codes: Annotated[tuple[Code | str, ...], BUT_NAN] = ()
     accept_values: tuple[Code, ...] = ()
     drop_bad_rows: bool = False
     ignore_columns: tuple[str, ...] = ()

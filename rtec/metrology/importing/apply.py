@@ -21,6 +21,7 @@ from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.cycles import from_cycles
+from rtec.metrology.importing.frame import of_frame
 from rtec.metrology.importing.map import Column, ImportMap, RowRules, TemperatureLog
 from rtec.metrology.importing.rows import Bools, condition, from_events
 from rtec.metrology.importing.temperature_log import LoggedTemperatures, matched
@@ -36,6 +37,7 @@ from rtec.tomlfile import nearest
 ROTARY = re.compile(r"[abc]_deg|angle_deg")
 """Angles of rotary axes, which nothing reads; one is that of a ball bar's circle, too."""
 PLACE = re.compile(r"[a-z][a-z0-9]*_mm")
+MOST_NAMED = 20
 LEAST_TRAVEL_MM = 1.0
 DOUBTFUL, LIKE = 0.01, 0.1
 """Machines err by less than the first share of the travel; readings that differ from positions by less than the second
@@ -129,7 +131,7 @@ def _next_part(path: Path, first: Path, how: ImportMap, log: LoggedTemperatures 
 
 
 def _log(how: TemperatureLog, beside: Path) -> LoggedTemperatures:
-    """Read a log of temperatures; a relative path starts beside the imported file."""
+    """Read a log of temperatures; a relative path starts beside the imported file. A note names what is not used."""
     path = beside.parent / how.file
     _, tables = read_tables(path, how.source)
     table = chosen(tables, how.source.table, str(path))
@@ -137,7 +139,10 @@ def _log(how: TemperatureLog, beside: Path) -> LoggedTemperatures:
         table = from_events(table, how.events.channel, how.events.value, how.events.unit, str(path))
     keep = _kept(table, how.rows, str(path), [])
     columns = {n: _column(table, n, c, keep, str(path))[0][keep] for n, c in how.column.items()}
-    return LoggedTemperatures(str(path), seconds(table.rows(keep), how.time, str(path)), columns)
+    used = {how.time.column, how.time.date, *_sources(how.column)}
+    unused = [n for n in table.columns if n not in used]
+    notes = (f"columns of {path.name} not used: {_named(table, unused)}",) if unused else ()
+    return LoggedTemperatures(str(path), seconds(table.rows(keep), how.time, str(path)), columns, notes)
 
 
 def _part(path: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
@@ -165,7 +170,8 @@ def _part(path: Path, how: ImportMap, log: LoggedTemperatures | None) -> _Part:
         raise MeasurementError("\n".join(faults))
     keep = _after_first(columns, how, keep, str(path), notes)
     columns = {n: v[keep] for n, v in columns.items()}
-    notes = [*_doubts(columns, str(path)), *notes]
+    frame = of_frame(columns, how.setup, str(path)) if how.measurement.instrument == "tool_tip" else []
+    notes = [*frame, *_doubts(columns, str(path)), *notes]
     table = table.rows(keep)
     clock = seconds(table, how.time, str(path))
     notes += clock.notes
@@ -347,10 +353,12 @@ def _put_in_place_at_end(table: Path) -> Iterator[Path]:
 
 
 def _number(text: str) -> float | None:
+    """A finite number; None for a word, which NaN is, too."""
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         return None
+    return number if np.isfinite(number) else None
 
 
 def _may_write(table: Path, inputs: Sequence[Path], *, force: bool) -> None:
@@ -449,15 +457,23 @@ def _spread(values: Floats) -> float:
 
 def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> dict[str, Floats]:
     """The columns of numbers that are not used, (n,) each; and a note on all that are not used."""
-    used = {how.time.column, how.time.date, how.run.column} | {
-        n for c in how.column.values() for n in (c.from_, c.minus)
-    }
+    used = {how.time.column, how.time.date, how.run.column, *_sources(how.column)}
     unused = [n for n in table.columns if n not in used]
     if unused:
-        some = ", ".join(n + _words_in(table.columns[n]) for n in unused[:20])
-        notes.append(f"columns of the file not used: {some}" + (" …" if len(unused) > 20 else ""))
+        notes.append(f"columns of the file not used: {_named(table, unused)}")
     numbers = [n for n in unused if table.columns[n].dtype != np.object_]
     return {n: table.columns[n].astype(np.float64) for n in numbers}
+
+
+def _sources(columns: Mapping[str, Column]) -> set[str | None]:
+    """The columns of a file that the columns of a measurement come from."""
+    return {n for c in columns.values() for n in (c.from_, c.minus)}
+
+
+def _named(table: ForeignTable, unused: Sequence[str]) -> str:
+    """The names of columns that are not used, the first ones of many."""
+    some = ", ".join(n + _words_in(table.columns[n]) for n in unused[:MOST_NAMED])
+    return some + (" …" if len(unused) > MOST_NAMED else "")
 
 
 def _words_in(cells: Floats | Texts) -> str:

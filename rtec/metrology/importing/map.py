@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -12,7 +12,15 @@ from rtec.metrology.importing.rows import condition
 from rtec.metrology.importing.zones import zone_of
 from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.units import UNITS, canonical
-from rtec.quantities import Code, Coefficient, Factor, MillimetresNotNegative, MillimetresPositive, SecondsPositive
+from rtec.quantities import (
+    BUT_NAN,
+    Code,
+    Coefficient,
+    Factor,
+    MillimetresNotNegative,
+    MillimetresPositive,
+    SecondsPositive,
+)
 from rtec.tomlfile import Strict, read_toml, validated
 
 FORMS = ("iso", "filetime", "excel", "unix")
@@ -21,6 +29,12 @@ TARGET = re.compile(
     r"|reading(_[A-Za-z0-9]+)*_(um|urad)",
     re.ASCII,
 )
+
+
+WHOLE = frozenset({"measurement", "time", "column"})
+"""A map with these tables has all that an import needs; the missing parts of another one are proposed."""
+LOGGED = re.compile(r"\w+_degc|spindle_rpm|feed_mm_min|load_kg", re.ASCII)
+"""Columns that may come from a log in a file of its own: what is still the same a moment later."""
 
 
 class Column(Strict):
@@ -54,7 +68,7 @@ class Column(Strict):
     offset: Coefficient = 0.0
     fill: Literal["hold"] | None = None
     values: dict[str, Coefficient] = Field(default_factory=dict)
-    missing_codes: tuple[Code, ...] = ()
+    missing_codes: Annotated[tuple[Code, ...], BUT_NAN] = ()
 
     @field_validator("unit", "minus_unit")
     @classmethod
@@ -200,10 +214,12 @@ class Cycles(Strict):
 class TemperatureLog(Strict):
     """`[temperatures]`: a log of temperatures in a file of its own; it is matched by date or time of day.
 
+    Temperatures are interpolated between its rows; a spindle speed, feed or load is that of the row before.
+
     Attributes:
         file: path of the log; a relative one starts at the folder of the imported file.
         source, events, rows, time: as in the map.
-        column: where each SENSOR_degc comes from.
+        column: where each SENSOR_degc comes from, and spindle_rpm, feed_mm_min and load_kg.
     """
 
     file: str
@@ -215,9 +231,11 @@ class TemperatureLog(Strict):
 
     @field_validator("column")
     @classmethod
-    def _degc(cls, column: dict[str, Column]) -> dict[str, Column]:
-        if wrong := [n for n in column if not n.endswith("_degc")]:
-            raise ValueError(f"{wrong[0]!r} is no temperature; a log gives SENSOR_degc")
+    def _logged(cls, column: dict[str, Column]) -> dict[str, Column]:
+        if wrong := [n for n in column if not LOGGED.fullmatch(n)]:
+            raise ValueError(
+                f"{wrong[0]!r} does not come from a log; it gives SENSOR_degc, spindle_rpm, feed_mm_min, load_kg"
+            )
         return column
 
 

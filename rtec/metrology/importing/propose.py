@@ -25,8 +25,8 @@ from rtec.metrology.importing.apply import chosen
 from rtec.metrology.importing.clock import summer_time_ends
 from rtec.metrology.importing.cycles import cycles_of, from_cycles
 from rtec.metrology.importing.diameters import halve_diameters
-from rtec.metrology.importing.map import Cycles, ImportMap
-from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles
+from rtec.metrology.importing.map import Cycles, ImportMap, TemperatureLog
+from rtec.metrology.importing.roles import BAR_VARIES, LEAVE, ColumnRoles, sensors_of
 from rtec.metrology.importing.rows import from_events
 from rtec.metrology.importing.words import has, unknown_unit
 from rtec.metrology.importing.zones import SUCH_AS, said_zone, zone_of
@@ -560,7 +560,7 @@ def _setup(
     """`[setup]`: the required keys, and the instrument's offset unless a component is named.
 
     The radius of a ball bar's circle is proposed from the length of the bar, unless the bar leans; the direction of a
-    diagonal from the positions.
+    diagonal from the positions. Of measured coordinates the turn of their frame is taken as unknown.
     """
     instrument = measurement.get("instrument")
     if instrument not in INSTRUMENTS:
@@ -571,8 +571,9 @@ def _setup(
     for name, info in kind.setup_model.model_fields.items():
         offset = name.endswith("offset_mm") and not direct
         needed = info.is_required() or (name in kind.needs and not direct)
+        turned = name == "alignment" and kind is INSTRUMENTS["tool_tip"] and bool(roles.coordinates) and not direct
         given = f"setup.{name}" in asker.answers
-        if name in preset.get("setup", {}) or not (needed or offset or given):
+        if name in preset.get("setup", {}) or not (needed or offset or turned or given):
             continue
         choices = {str(c): c for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a)}
         default = str(list(info.default)) if offset and not needed else None
@@ -581,8 +582,14 @@ def _setup(
             default = f"{round(roles.bar_mm)}"
         if name == "direction" and instrument == "laser_diagonal" and roles.line is not None:
             default = str(list(roles.line))
-        where = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
-        text = where if offset and not needed else f"{name} of the {instrument}?"
+        if name == "feature" and roles.reads_diameter:
+            default = "diameter"
+        text = f"{name} of the {instrument}?"
+        if offset and not needed:
+            text = f"Where does the {instrument} read, as X, Y and Z from the tool tip ({name})?"
+        if turned:
+            text = f"May the fit turn its frame by a small angle ({name}): once (setup), in every run, or not (none)?"
+            default = "setup"
         answer = asker.ask(f"setup.{name}", text, tuple(choices), default, EXAMPLES.get(name, ""))
         if answer is not None:
             out[name] = choices[answer] if choices else _value(answer, name, asker.source)
@@ -617,6 +624,8 @@ def _temperatures(
 ) -> tuple[dict[str, Any], tuple[Guess, ...]]:
     """Add `[temperatures]`, a log in a file of its own, to a map; give the log's columns, and conclusions.
 
+    One that says where the time and the columns come from is kept as it is.
+
     Args:
         preset: known keys of `[temperatures]`, `file` at least; None: there is no log.
         beside: the imported file; a relative path of the log starts at its folder.
@@ -625,13 +634,20 @@ def _temperatures(
         asker: asks for sensors that the names do not tell.
 
     Raises:
-        MeasurementError: the log has no times or no temperatures.
+        MeasurementError: the log has no times, or no temperature, spindle speed, feed or load.
     """
     if preset is None:
         return {}, ()
     if not isinstance(preset, Mapping) or not isinstance(preset.get("file"), str):
         raise MeasurementError(f"{beside}: [temperatures] file is missing: the path of the log")
     path = beside.parent / preset["file"]
+    there = content["column"]
+    if {"time", "column"} <= preset.keys():
+        known = validated(TemperatureLog, preset, f"{beside}: [temperatures]", MeasurementError)
+        taken = {n: c for n, c in preset["column"].items() if n not in there}
+        content["temperatures"] = {**preset, "column": taken}
+        own.settled |= sensors_of(preset["column"])
+        return taken, _from_log({n: c.from_ for n, c in known.column.items()}, there, path)
     asker.log = str(path)
     read = _read(path, dict(preset.get("source", {})), asker)
     table = chosen(read.tables, preset.get("source", {}).get("table"), str(path))
@@ -656,15 +672,21 @@ def _temperatures(
         raise MeasurementError(f"{path}: no column of times; a log of temperatures has one, with the time of day")
     asked = any(q.key.startswith(("sensor of", "unit of")) for q in asker.open)
     if not found["column"] and not asked:
-        raise MeasurementError(f"{path}: no column of temperatures of a sensor")
-    there = content["column"]
+        raise MeasurementError(f"{path}: no column of temperatures of a sensor, of a spindle speed, feed or load")
     taken = {n: c for n, c in found["column"].items() if n not in there}
     source = {"file": preset["file"], "source": read.source, **({"events": events} if events else {})}
     content["temperatures"] = source | found | {"column": taken}
     own.settled |= roles.settled
-    guesses = [Guess("temperatures", c["from"], f"{n}, a column of {path.name}") for n, c in taken.items()]
-    guesses += [Guess("temperatures", None, f"{n} is in the file itself") for n in found["column"] if n in there]
-    return taken, tuple(guesses)
+    return taken, _from_log({n: c["from"] for n, c in found["column"].items()}, there, path)
+
+
+def _from_log(columns: Mapping[str, str], there: Mapping[str, Any], path: Path) -> tuple[Guess, ...]:
+    """Conclusions on the columns of a log, given with their names in it; those `there` are not taken from it."""
+    guesses = [
+        Guess("temperatures", name, f"{n}, a column of {path.name}") for n, name in columns.items() if n not in there
+    ]
+    guesses += [Guess("temperatures", None, f"{n} is in the file itself") for n in columns if n in there]
+    return tuple(guesses)
 
 
 def _ask_zone(key: str, why: str, time: dict[str, Any], asker: _Answers) -> None:

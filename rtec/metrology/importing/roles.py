@@ -13,18 +13,22 @@ from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.diagonal import diagonal
+from rtec.metrology.importing.map import WHOLE
 from rtec.metrology.importing.words import (
     axis_letter,
     bare_unit,
     difference,
     direction_meant,
     has,
+    in_diameter,
     is_nominal,
+    is_part,
     is_place,
     sensor_called,
     sensor_name,
     sensors_like,
     sign_said,
+    turns_other,
     unknown_unit,
     words_of,
 )
@@ -53,6 +57,8 @@ FEW_LINES = 2
 """Up to this many lines without a time count as remarks above or below the rows."""
 SMALL = 0.1
 """Deviations are below this share of the travel; an actual position differs from its nominal one by less."""
+SAME: Final = 0.05
+"""Distances that differ by a smaller share are the same, but for rounding."""
 BY_LETTER = ("tool_tip", "grid_encoder", "squareness")
 """Instruments with a reading in each of several directions."""
 BAR_MM, BAR_VARIES = 10.0, 0.01
@@ -90,6 +96,12 @@ class _When:
     reason: str
 
 
+def sensors_of(columns: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """The questions about sensors that the columns of a map answer."""
+    named = {n: c["from"] for n, c in columns.items() if n.endswith("_degc") and "from" in c}
+    return {f"sensor of {name}": target.removesuffix("_degc") for target, name in named.items()}
+
+
 class ColumnRoles:
     """Assigns roles to the columns of a table.
 
@@ -108,6 +120,8 @@ class ColumnRoles:
         settled: questions that the file answers itself, with the answer.
         bar_mm: median of the reading where it is the length of a ball bar, else None.
         line: direction in X, Y and Z in which several axes move together; None where they do not.
+        of_parts: whether the runs are parts, by the name of their column.
+        coordinates: actual and nominal position in each direction, by letter, where the file has several.
     """
 
     def __init__(
@@ -128,10 +142,13 @@ class ColumnRoles:
         self.settled = {f"unit of {n}": u for n, u in self.units.items()}
         self.bar_mm: float | None = None
         self.line: tuple[float, ...] | None = None
+        self.coordinates: dict[str, tuple[str, str]] = {}
+        self.of_parts = False
         self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             if "from" in column:
                 self.use[str(column["from"])] = (target, "given")
+        self.settled |= sensors_of(self.columns)
 
     def content(self) -> dict[str, Any]:
         """The map without `[source]`, `[events]` and `[setup]`."""
@@ -143,16 +160,20 @@ class ColumnRoles:
         if not run:
             run = self._runs(measurement)
         self._directions(measurement)
+        kind = INSTRUMENTS.get(measurement.get("instrument", ""))
+        if kind is not None and kind.axis_use == "none" and "axis" not in self.preset.get("measurement", {}):
+            measurement.pop("axis", None)
         out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.preset.get("run", run))}
         if rows := dict(self.preset.get("rows", {})) or self._rows(time.get("column")):
             out["rows"] = rows
         return out | {"column": self.columns}
 
     def log(self) -> dict[str, Any]:
-        """`[temperatures]` without the file: the time, and the columns of temperatures."""
+        """`[temperatures]` without the file: the time, and columns of temperatures, spindle speed, feed and load."""
         time = dict(self.preset.get("time", {})) or self._time()
         self._temperatures()
-        out: dict[str, Any] = {"time": time, "column": {n: c for n, c in self.columns.items() if n.endswith("_degc")}}
+        self._motion()
+        out: dict[str, Any] = {"time": time, "column": self.columns}
         if rows := dict(self.preset.get("rows", {})) or self._rows(time.get("column")):
             out["rows"] = rows
         return out
@@ -281,10 +302,24 @@ class ColumnRoles:
     def _run_column(self) -> dict[str, Any]:
         for name in self._free():
             values = self._values(name)
-            if has(name, "run") and np.array_equal(values, np.round(values)) and not self._is_direction(name):
-                self.use[name] = ("run", "numbers of runs, by its name")
+            if not np.array_equal(values, np.round(values)) or self._is_direction(name):
+                continue
+            self.of_parts = self._is_part(name, values)
+            if has(name, "run") or self.of_parts:
+                self.use[name] = ("run", f"numbers of {'parts' if self.of_parts else 'runs'}, by its name")
                 return {"column": name}
         return {}
+
+    def _is_part(self, name: str, values: Floats) -> bool:
+        """Whether a column has the numbers of parts by its name, and the rows of each part are together."""
+        together = np.count_nonzero(np.diff(values)) == len(np.unique(values)) - 1
+        return is_part(name) and together and not self.units.get(name) and not self._warm(name)
+
+    @property
+    def reads_diameter(self) -> bool:
+        """Whether the reading is the diameter of a part: by its name, which has no axis."""
+        name = self.columns.get("reading_um", {}).get("from", "")
+        return in_diameter(name) and not axis_letter(name)
 
     def _temperatures(self) -> None:
         sensors = self.machine.sensor_names if self.machine else ()
@@ -332,19 +367,28 @@ class ColumnRoles:
             self.settled[f"sensor of {name}"] = fitting[0]
             return fitting[0]
         choices = (*(fitting or sensors), LEAVE)
-        answer = self.ask(f"sensor of {name}", f"Which sensor of the machine is {name!r}?", choices, None)
+        usual = LEAVE if self.preset.keys() >= WHOLE else None
+        answer = self.ask(f"sensor of {name}", f"Which sensor of the machine is {name!r}?", choices, usual)
         return "" if answer == LEAVE else answer
 
     def _motion(self) -> None:
-        for name in self._free():
+        """Spindle speed, feed and load; of two the one that is no setting, else the first."""
+        for name in sorted(self._free(), key=lambda n: has(n, "setting") or has(n, "nominal")):
             unit = self.units.get(name, "")
             kind = UNITS[unit].kind if unit else ""
-            if kind == "turning" or (not unit and has(name, "spindle")):
-                self._take(name, "spindle_rpm", "the spindle's speed", **({} if unit else {"unit": "rpm"}))
+            keys = {}
+            if (kind == "turning" or (not unit and has(name, "spindle"))) and not turns_other(name):
+                target, what, keys = "spindle_rpm", "the spindle's speed", {} if unit else {"unit": "rpm"}
             elif kind == "speed" and (has(name, "feed") or words_of(name)[:1] == ["f"]):
-                self._take(name, "feed_mm_min", "feed")
+                target, what = "feed_mm_min", "feed"
             elif kind == "mass":
-                self._take(name, "load_kg", "load")
+                target, what = "load_kg", "load"
+            else:
+                continue
+            if target in self.columns:
+                self.use[name] = ("", f"a second column of {target}")
+            else:
+                self._take(name, target, what, **keys)
 
     # --- positions and readings
 
@@ -363,6 +407,9 @@ class ColumnRoles:
         actual = [n for n in rest if has(n, "actual")]
         nominal = [n for n in rest if n not in actual and self._is_position(n)]
         nominal.sort(key=lambda n: (n not in self.units, not has(n, "nominal"), words_of(n)[0] in ("position", "pos")))
+        if not readings:
+            self.coordinates = self._coordinates(actual, nominal)
+            deviations = [n for n in deviations if not self._is_length_of_deviation(n)]
         if not deviations and not readings and not (actual and nominal):
             deviations, nominal = self._by_size(rest, nominal)
             actual = []
@@ -547,12 +594,54 @@ class ColumnRoles:
             if head.get("instrument") == "ball_bar" and self._bar(name):
                 return
             if len(deviations) > 1 or not axis_letter(name) or not self._several([name], head):
-                self._deviation(name, actual, nominal)
+                self._deviation(name, actual, nominal, head)
             return
-        if actual and nominal and (pair := self._pair(actual, nominal)):
-            name, of = pair
+        pairs = self._tool_tip(head)
+        if not pairs and actual and nominal and (pair := self._pair(actual, nominal)):
+            pairs = {self._coordinate(pair[0], head): pair}
+        for target, (name, of) in pairs.items():
             self.settled["sign"] = "+1"
-            self._take(name, "reading_um", f"actual minus nominal: less {of!r}", minus=of, **self._two_units(name, of))
+            self._take(name, target, f"actual minus nominal: less {of!r}", minus=of, **self._two_units(name, of))
+
+    def _coordinates(self, actual: Sequence[str], nominal: Sequence[str]) -> dict[str, tuple[str, str]]:
+        """The actual and the nominal position in X, Y and Z, by letter; empty where fewer than two were measured."""
+        lengths = [n for n in actual if UNITS[self.units.get(n) or "mm"].kind == "length"]
+        measured = [n for n in lengths if axis_letter(n) and np.ptp(self._finite(n)) > 0.0]
+        letters = [axis_letter(n) for n in measured]
+        first = {axis_letter(n): n for n in reversed(nominal)}
+        pairs = {
+            c: (n, first[c]) for c, n in zip(letters, measured, strict=True) if c in first and c in ("X", "Y", "Z")
+        }
+        alone = len(pairs) > 1 and len(set(letters)) == len(letters) and all(c == self._direction(c) for c in pairs)
+        return dict(sorted(pairs.items())) if alone else {}
+
+    def _is_length_of_deviation(self, name: str) -> bool:
+        """Whether a column is the distance of the actual from the nominal positions, as trackers write it."""
+        if not self.coordinates or axis_letter(name):
+            return False
+        off = [self._in_mm(a) - self._in_mm(n) for a, n in self.coordinates.values()]
+        far = np.abs(self._in_mm(name) - np.linalg.norm(off, axis=0))
+        is_length = bool(np.nanmedian(far) < SAME * np.nanmedian(np.linalg.norm(off, axis=0)))
+        if is_length:
+            self.use[name] = ("", "the length of the deviation, whose coordinates are the readings")
+        return is_length
+
+    def _in_mm(self, name: str) -> Floats:
+        """The values of a column of lengths, in mm; one without a unit is taken as in mm."""
+        return self._values(name) * UNITS[self.units.get(name) or "mm"].factor
+
+    def _tool_tip(self, head: dict[str, Any]) -> dict[str, tuple[str, str]]:
+        """The positions whose difference is a reading, by the reading; empty where the instrument reads no coordinates.
+
+        Without another answer they are of a point beside the tool, as a tracker reads them.
+        """
+        if not self.coordinates:
+            return {}
+        if head.get("instrument") is None:
+            text = "Which instrument took the readings?"
+            head["instrument"] = self.ask("instrument", text, tuple(INSTRUMENTS), "tool_tip")
+        of_letters = {f"reading_{c.lower()}_um": pair for c, pair in self.coordinates.items()}
+        return of_letters if head["instrument"] in BY_LETTER else {}
 
     def _pair(self, actual: Sequence[str], nominal: Sequence[str]) -> tuple[str, str] | None:
         """An actual position and the nominal one that it belongs to; asks where several move."""
@@ -578,13 +667,21 @@ class ColumnRoles:
         known = self.table.units.get(of) or (unit and unit["unit"] == less["unit"])
         return unit | ({} if known else {"minus_unit": less["unit"]})
 
-    def _deviation(self, name: str, actual: Sequence[str], nominal: Sequence[str]) -> None:
+    def _coordinate(self, name: str, head: Mapping[str, Any]) -> str:
+        """The column of a length that is read: of a tool tip with its direction, which is asked if no name tells it."""
+        if head.get("instrument") != "tool_tip" or head.get("component"):
+            return "reading_um"
+        text = f"In which direction of the machine is {name!r} a reading?"
+        letter = axis_letter(name) or self.ask("coordinate", text, ("X", "Y", "Z"), None)
+        return f"reading_{letter.lower()}_um" if letter else "reading_um"
+
+    def _deviation(self, name: str, actual: Sequence[str], nominal: Sequence[str], head: Mapping[str, Any]) -> None:
         keys = {} if self.units.get(name) else self._unit_of_reading(name)
         unit = self.units.get(name) or keys.get("unit", "")
         if not unit:
             self.use[name] = ("", "the reading, in a unit not known yet")
             return
-        target = "reading_urad" if UNITS[unit].kind == "angle" else "reading_um"
+        target = "reading_urad" if UNITS[unit].kind == "angle" else self._coordinate(name, head)
         sign, why = self._sign(name, actual, nominal, unit, keys.get("scale", 1.0))
         if sign is None:
             sign, why = self._named_sign(name, "the reading")
@@ -619,9 +716,9 @@ class ColumnRoles:
         self, name: str, actual: Sequence[str], nominal: Sequence[str], unit: str, scale: float
     ) -> tuple[int | None, str]:
         """From columns of actual and nominal values, where the file has them beside the deviation."""
-        if not (actual and nominal) or not {self.units.get(actual[0]), self.units.get(nominal[0])} <= {"mm", None}:
+        if not (actual and nominal):
             return None, ""
-        difference = (self._values(actual[0]) - self._values(nominal[0])) * 1e3
+        difference = (self._in_mm(actual[0]) - self._in_mm(nominal[0])) * 1e3
         reading = convert(self._values(name) * scale, unit, "um") if UNITS[unit].kind == "length" else np.zeros(0)
         if reading.shape != difference.shape:
             return None, ""
@@ -646,7 +743,10 @@ class ColumnRoles:
         for name, letter in zip(deviations, letters, strict=True):
             given = {} if self.units.get(name) else self._unit_of_reading(name)
             if self.units.get(name) or given:
-                sign, why = self._named_sign(name, f"reading in {letter}")
+                unit, of = self.units.get(name) or given["unit"], self.coordinates.get(letter, ())
+                sign, why = self._sign(name, of[:1], of[1:], unit, given.get("scale", 1.0))
+                if sign is None:
+                    sign, why = self._named_sign(name, f"reading in {letter}")
                 self._take(name, f"reading_{letter.lower()}_um", why, **given, **({"sign": -1} if sign < 0 else {}))
         return True
 
@@ -664,6 +764,8 @@ class ColumnRoles:
                 places = np.column_stack([self._values(n) for n in by_axis])
                 self.line = diagonal(places, [self._direction(letter) for letter in by_axis.values()])
                 usual = usual if self.line is None else "laser_diagonal"
+            if usual and (self.of_parts or (self.reads_diameter and "minus" in self.columns["reading_um"])):
+                usual = "work_piece"
             answer = self.ask("instrument", "Which instrument took the readings?", tuple(INSTRUMENTS), usual)
             if answer:
                 head["instrument"] = answer

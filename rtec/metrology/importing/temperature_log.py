@@ -1,4 +1,7 @@
-"""Matches a log of temperatures to the readings of another file, by their clocks."""
+"""Matches a log of temperatures to the readings of another file, by their clocks.
+
+Temperatures are interpolated. Spindle speed, feed and load step: each reading gets that of the row before.
+"""
 
 import os
 from collections.abc import Mapping
@@ -15,8 +18,8 @@ from rtec.metrology.importing.zones import SUCH_AS
 
 DAY_S = 86400.0
 LONGEST_GAP_S, LONGEST_GAP_STEPS = 600.0, 3.0
-"""Between two readings of a log the temperature is interpolated where they are at most so far apart, or so many of the
-log's usual steps."""
+"""Between two readings of a log the temperature is interpolated, and a speed held, where they are at most so far apart,
+or so many of the log's usual steps."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +29,14 @@ class LoggedTemperatures:
     Attributes:
         source: name of the file, for messages.
         clock: time of each row.
-        columns: temperatures by the column that they become, (n,) each.
+        columns: temperatures, and spindle speed, feed and load, by the column that they become, (n,) each.
+        notes: what of the file is not used.
     """
 
     source: str
     clock: RowClock
     columns: Mapping[str, Floats]
+    notes: tuple[str, ...] = ()
 
 
 def beside(log: Path, file: Path) -> str:
@@ -40,7 +45,7 @@ def beside(log: Path, file: Path) -> str:
 
 
 def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict[str, Floats], list[str]]:
-    """Temperatures at the times of a measurement, NaN where the log has none; and notes.
+    """The columns of a log at the times of a measurement, NaN where the log has no value; and notes.
 
     Args:
         clock: clock of the measurement.
@@ -52,9 +57,8 @@ def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict
     """
     for name, one in ((source, clock), (log.source, log.clock)):
         if one.of_day is None:
-            way = (
-                f"one temperature for all rows, without the log: --answer {next(iter(log.columns), 'SENSOR_degc')}=20.5"
-            )
+            sensor = next((n for n in log.columns if n.endswith("_degc")), "SENSOR_degc")
+            way = f"one temperature for all rows, without the log: --answer {sensor}=20.5"
             raise MeasurementError(f"{name}: no time of day to match {log.source} to {source} by; {way}")
         if len(one.restarts):
             raise MeasurementError(f"{name}: its clock falls: no time to match {log.source} to {source} by")
@@ -68,8 +72,11 @@ def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict
     at_s = clock.time_s + _apart_s(clock, source, log)
     out, notes = {}, []
     for name, values in log.columns.items():
-        out[name], step_s = _at(at_s, log.clock.time_s, values)
+        steps = not name.endswith("_degc")
+        out[name], step_s = _at(at_s, log.clock.time_s, values, steps=steps)
         note = f"{name} at the time of each reading, between readings of the log {step_s:.4g} s apart"
+        if steps:
+            note = f"{name} as the last row of the log before each reading has it, rows {step_s:.4g} s apart"
         if lost := int(np.isnan(out[name]).sum()):
             note = f"{name}: {lost} of {len(at_s)} rows have none: the log has no reading near them"
         notes.append(note)
@@ -79,7 +86,7 @@ def matched(clock: RowClock, source: str, log: LoggedTemperatures) -> tuple[dict
             "wrong, or in another time zone? Then say both: zone = … in [time] and in [temperatures.time] of a map"
         )
     how = "by date and time" if clock.began and log.clock.began else "by time of day, on the same day"
-    return out, [f"temperatures from {log.source}, matched {how}: {_span(log.clock, clock.zone)}", *notes]
+    return out, [f"temperatures from {log.source}, matched {how}: {_span(log.clock, clock.zone)}", *notes, *log.notes]
 
 
 def _apart_s(clock: RowClock, source: str, log: LoggedTemperatures) -> float:
@@ -114,8 +121,14 @@ def _on_the_wall(clock: RowClock, other: RowClock) -> datetime | None:
     return clock.began.astimezone(other.zone).replace(tzinfo=UTC)
 
 
-def _at(at_s: Floats, time_s: Floats, values: Floats) -> tuple[Floats, float]:
-    """Values at some times, and the log's usual step, s. Beyond a reading by up to a step its value is held."""
+def _at(at_s: Floats, time_s: Floats, values: Floats, *, steps: bool) -> tuple[Floats, float]:
+    """Values at some times, and the log's usual step, s. Beyond a reading by up to a step its value is held.
+
+    Args:
+        at_s: the times, (m,).
+        time_s, values: of the log, (n,).
+        steps: the value steps: between two rows it is that of the row before, and not interpolated.
+    """
     known = np.isfinite(values)
     time_s, first = np.unique(time_s[known], return_index=True)
     values = values[known][first]
@@ -128,7 +141,8 @@ def _at(at_s: Floats, time_s: Floats, values: Floats) -> tuple[Floats, float]:
     inside = (time_s[before] <= at_s) & (at_s <= time_s[after])
     bridged = inside & (time_s[after] - time_s[before] <= max(LONGEST_GAP_S, LONGEST_GAP_STEPS * step_s))
     held = np.where(np.abs(time_s[near] - at_s) <= step_s, values[near], np.nan)
-    return np.where(bridged, np.interp(at_s, time_s, values), held), step_s
+    between = values[before] if steps else np.interp(at_s, time_s, values)
+    return np.where(bridged, between, held), step_s
 
 
 def _span(clock: RowClock, zone: tzinfo | None = None) -> str:

@@ -29,6 +29,9 @@ WORDS: Final[dict[str, frozenset[str]]] = {
     "run": frozenset(
         {"run", "lauf", "cycle", "zyklus", "zyk", "pass", "durchgang", "durchlauf", "messreihe", "series"}
     ),
+    "part": frozenset(
+        {"part", "teil", "bauteil", "werkstück", "werkstueck", "workpiece", "piece", "pièce", "pieza", "pezzo"}
+    ),
     "direction": frozenset(
         {
             "direction",
@@ -150,6 +153,11 @@ PLACES: Final = {
     "säule": "column", "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale",
     "kühlmittel": "coolant",
 }  # fmt: skip
+AXES: Final = frozenset("xyzuvw")
+POSITIONS: Final = WORDS["nominal"] | WORDS["actual"]
+DELTA: Final = re.compile(r"(?<![^\W_])[dΔ∆][ _]?(?=[XYZUVWxyzuvw](?![^\W_]))")
+"""A difference along an axis: `dX`, `ΔX`."""
+TURNS_OTHER: Final = re.compile(r"fan|pump|lüfter|ventilator|gebläse|blower|cooler|chiller")
 PLACE_WORDS: Final = PLACES.keys() | set(PLACES.values())
 MINUS: Final = frozenset("-–−‐‑‒—﹣－") | {"minus", "less", "moins", "menos", "meno"}
 AGAINST: Final = frozenset({"vs", "versus", "gegen", "/"})
@@ -164,10 +172,12 @@ DIAMETERS: Final = re.compile(r"dia(m(et[a-zè]*)?)?|di[áà]met\w*|durchm\w*")
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name in lower case: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll."""
+    """The words of a name in lower case: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll; `XIst` x, ist."""
     bare = re.sub(r"([\[(][^\])]*[\])]|\sin\s+\S+)\s*$", "", name)
-    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", DIAMETER.sub(" ", bare))
-    return [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
+    bare = DELTA.sub("delta ", DIAMETER.sub(" ", bare))
+    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
+    words = [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
+    return [part for w in words for part in ((w[0], w[1:]) if w[0] in AXES and w[1:] in POSITIONS else (w,))]
 
 
 def direction_meant(word: str) -> int | None:
@@ -191,8 +201,18 @@ def in_diameter(name: str) -> bool:
 def is_nominal(name: str) -> bool:
     """Whether the name means a commanded position and nothing else: `Soll X`, not `bed_target`."""
     words = words_of(name)
-    known = WORDS["nominal"] | {"axis", "achse", "x", "y", "z", "u", "v", "w"}
+    known = WORDS["nominal"] | AXES | {"axis", "achse"}
     return bool(words) and all(w in known for w in words)
+
+
+def turns_other(name: str) -> bool:
+    """Whether a speed is not that of the spindle: of a fan or a pump, or a share of it in %."""
+    return "%" in name or TURNS_OTHER.search(name.lower()) is not None
+
+
+def is_part(name: str) -> bool:
+    """Whether the name means the number of a part and nothing else: `Part no`, `Werkstück`, not `Part length`."""
+    return has(name, "part") and all(w in WORDS["part"] | WORDS["index"] for w in words_of(name))
 
 
 def difference(name: str) -> int | None:
@@ -248,7 +268,7 @@ def _side(words: list[str]) -> int:
 
 def axis_letter(name: str) -> str:
     """The one axis letter in a name: `Pos X [mm]`, `x_cmd`, `X-Soll`; empty where there is none, or two."""
-    letters = [w.upper() for w in words_of(name) if w in ("x", "y", "z", "u", "v", "w")]
+    letters = [w.upper() for w in words_of(name) if w in AXES]
     return letters[0] if len(letters) == 1 else ""
 
 
