@@ -19,6 +19,7 @@ from rtec.estimation.visible import same_place_mm
 from rtec.machine import Axis
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 WAVES = (CyclicScrew, CouplingMisalignment, InterpolationError, CyclicPole)
 FEW, MOST = 60, 400
@@ -44,6 +45,16 @@ def _targets(readings: Readings, axis: Axis) -> Floats:
     return np.concatenate([np.round(readings.poses_mm[s.source][s.row, i] / step_mm) for s in readings.series])
 
 
+def _finest(readings: Readings, targets: Floats, seen: Ints) -> Ints:
+    """Those of some readings that instruments of one kind took, the kind with the most targets.
+
+    The diameters of parts have another zero than a laser along the same axis, and show the error of a radius twice.
+    """
+    made = [(readings.measurements[s.source].instrument, s.column) for s in readings.series]
+    of = np.array([made.index(m) for m in made])[readings.series_of[seen]]
+    return max((seen[of == k] for k in np.unique(of)), key=lambda rows: len(np.unique(targets[rows])), default=seen)
+
+
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
     """Whether a wave predicts held-out targets; also true for any other effect, and with more than `MOST` targets.
 
@@ -61,7 +72,7 @@ def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: S
     if axis is None:
         return True
     position = np.concatenate([readings.states[s.source].value(axis.channel)[s.row] for s in readings.series])
-    seen = np.flatnonzero(readings.arms(effect.component))
+    seen = _finest(readings, _targets(readings, axis), np.flatnonzero(readings.arms(effect.component)))
     target = np.unique(_targets(readings, axis)[seen], return_inverse=True)[1]
     count = np.bincount(target)
     left = without_nuisance(readings, readings.values - base @ solve(base, readings.values))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rtec.characterise import characterise
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import Effect
+from rtec.effects.cyclic import CyclicScrew
 from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
 from rtec.estimation.targets import predicts_targets
@@ -143,3 +144,22 @@ def test_the_diagnosis_names_no_wave_for_what_differs_from_target_to_target(seed
     found = diagnose(model, [visited(at, 3.0 * rng.standard_normal(TARGETS), rng)], draws=50)
     assert found.findings[0].effect.effect == "piecewise_position"
     assert [f.heldout_drop for f in found.findings if f.effect.effect == "cyclic_pole"] == [0.0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_diameters_beside_a_laser_do_not_hide_a_wave(seed: int) -> None:
+    """The parts have a zero of 40 µm of their own; as it was, a free fit took a polynomial of degree 5 for the screw."""
+    rng = np.random.default_rng(seed)
+    machine, wave = small_machine(), 2.0 * np.pi / 5.0
+    at = np.arange(10.0, 165.0, 14.0)
+    laser = visited(at, 1.2 * np.sin(wave * at), rng)
+    radii = np.tile([15.0, 22.0, 30.0, 40.0], 12)
+    made = make_instrument("work_piece", {"feature": "diameter"}, "X", None, machine, "test")
+    channels = {"x": radii, "d_x": np.full(48, -1.0)} | {s: np.full(48, 20.0) for s in machine.sensor_names}
+    error = 40.0 + 2.0 * 1.2 * np.sin(wave * radii) + NOISE_UM * rng.standard_normal(48)
+    run, time_s = np.repeat(np.arange(1, 13), 4), np.linspace(0.0, 240.0, 48)
+    parts = Measurement("parts", made, machine, run, time_s, channels, {"reading_um": error})
+    readings = read([laser, parts])
+    thetas = [{"pitch": float(p)} for p in np.linspace(4.98, 5.02, 41)]
+    screw = CyclicScrew(component="EXX", axis="X", harmonics=1)
+    assert predicts_targets(readings, np.zeros((len(readings), 0)), screw, thetas)
