@@ -258,6 +258,12 @@ class HeldOutTable:
         other.usable = self.usable & np.array([not c.away for c in self.candidates])
         return other
 
+    def of_what_is_shown(self) -> "HeldOutTable":
+        """The same table with only components that the readings show directly, none behind a lever arm."""
+        other = copy.copy(self)
+        other.usable = self.usable & np.array([c.direct for c in self.candidates])
+        return other
+
     def constant(self, i: int) -> int | None:
         """The usable candidate with a temperature's shape at constant temperature; None where there is none."""
         shape = at_constant_temperature(self.candidates[i], self.candidates)
@@ -487,9 +493,11 @@ def _settled(table: HeldOutTable, path: Sequence[list[int]], forced: list[int]) 
 def _other_starts(
     table: HeldOutTable, chosen: list[int], forced: list[int]
 ) -> Iterator[tuple[HeldOutTable, list[int]]]:
-    """What every machine has; the same with the axis' own sensors, and no others, where the choice follows others.
+    """What every machine has; the same with the axis' own sensors, and no others, where the choice follows others; and
+    with nothing behind a lever arm, where something is.
 
-    A search that adds one term at a time may find one that stands for several, and then adds what mends it.
+    A search that adds one term at a time may find one that stands for several, and then adds what mends it: a tilt for
+    the growth of two directions, which lag otherwise.
     """
     both = [*forced, *(i for i in table.of_every_machine if i not in forced)]
     start = _without_harm(table, independent(table.normal, [table.columns[i] for i in both], both), forced)
@@ -501,6 +509,8 @@ def _other_starts(
             own.append(near[int(np.argmin(table.held_out_beside(own, near)))])
     if len(own) > len(start):
         yield among, own
+    if any(not table.candidates[i].direct for i in chosen):
+        yield table.of_what_is_shown(), forced
 
 
 def _without_harm(table: HeldOutTable, start: list[int], forced: list[int]) -> list[int]:
@@ -527,6 +537,9 @@ def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
     def followed(c: list[int]) -> int:
         return sum(bool(table.candidates[i].feature) for i in c)
 
+    def behind(c: list[int]) -> int:
+        return sum(not table.candidates[i].direct for i in c)
+
     def grow(c: list[int]) -> set[str]:
         of = [table.candidates[i] for i in c]
         return {k.component for k in of if k.effect == "axis_expansion" and k.component[1] == k.component[2]}
@@ -539,7 +552,8 @@ def _prior(table: HeldOutTable, other: list[int], chosen: list[int]) -> bool:
         return as_good
     if away(other) > away(chosen) or odd(other) > odd(chosen) or followed(other) > followed(chosen):
         return False
-    return as_good if odd(other) < odd(chosen) else not one_standard_error(worse, better)
+    fewer = odd(other) < odd(chosen) or behind(other) < behind(chosen)
+    return as_good if fewer else not one_standard_error(worse, better)
 
 
 def _of_own(table: HeldOutTable, rest: list[int], i: int) -> list[int]:

@@ -428,6 +428,8 @@ def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> f
 
 
 TINY = 1e-300
+UNSURE = 2.0
+"""A number within so many standard errors of zero is not known."""
 TAKES_BACK = 3.0
 """Two delays of one temperature take back what the other makes, where one makes this many times what both do."""
 
@@ -436,7 +438,8 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
     """Drives of expansions of one component, each more than any material's, of which one takes back what others make.
 
     They fit the difference of two temperatures on this day. And drives of one effect by one temperature with two
-    delays, of which one makes several times what both together do: they fit how fast it changes.
+    delays, of which one makes several times what both together do: they fit how fast it changes. Or of which neither is
+    two standard errors from zero, once the delays are estimated: only their sum is known.
     """
     grown: dict[str, list[tuple[float, Drive]]] = {}
     for i, term in enumerate(fit.terms[fixed:], fixed):
@@ -453,7 +456,16 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
     pairs = [
         (i, j) for i, j in itertools.combinations(late, 2) if drive(fit.terms[i].effect) == drive(fit.terms[j].effect)
     ]
-    both = [p for p in pairs if max(square(p[0]), square(p[1])) > TAKES_BACK**2 * square(*p)]
+
+    def unsure(i: int) -> bool:
+        own = np.flatnonzero(fit.linear.owner == i)
+        return bool((np.abs(fit.values[own]) < UNSURE * fit.errors[own]).all())
+
+    both = [
+        (i, j)
+        for i, j in pairs
+        if max(square(i), square(j)) > TAKES_BACK**2 * square(i, j) or (unsure(i) and unsure(j))
+    ]
     return [drives for drives, ways in signs if len(ways) > 1] + [
         frozenset({drive(fit.terms[i].effect)}) for i, _ in both
     ]
@@ -506,10 +518,27 @@ def _chosen(
         return replace(screened, sources=tuple(scaled)), choice
     screened = _without(screen(scaled, names), rules)
     choice = _choose(screened, wanted, rules, tell)
-    found = refined(screened.sources, [screened.candidates[i] for i in choice.chosen], screened.candidates)
-    screened = _without(screen(scaled, names, [screened.candidates[i] for i in choice.chosen]), rules)
+    first = [screened.candidates[i] for i in choice.chosen]
+    found = refined(screened.sources, first, screened.candidates)
+    if any(c.feature and not c.direct for c in first):
+        found += _refined_as_shown(screened, wanted, rules, tell)
+    screened = _without(screen(scaled, names, first), rules)
     screened = replace(screened, candidates=(*screened.candidates, *found))
     return screened, _choose(screened, wanted, rules, tell)
+
+
+def _refined_as_shown(
+    screened: Screened, wanted: AskedEffects | None, rules: _Rules, tell: Stage
+) -> list[TermCandidate]:
+    """What `refined` finds for a choice among components that the readings show directly.
+
+    A tilt that stands for the growth of two directions has none of their delays.
+    """
+    shown = replace(screened, candidates=tuple(c for c in screened.candidates if c.direct))
+    if not shown.candidates:
+        return []
+    choice = _choose(shown, wanted, rules, tell)
+    return refined(shown.sources, [shown.candidates[i] for i in choice.chosen], shown.candidates)
 
 
 def _of_unknown_length(source: Source) -> Source:

@@ -148,7 +148,7 @@ def test_the_diagnosis_names_no_wave_for_what_differs_from_target_to_target(seed
 
 @pytest.mark.parametrize("seed", range(4))
 def test_diameters_beside_a_laser_do_not_hide_a_wave(seed: int) -> None:
-    """The parts have a zero of 40 µm of their own; as it was, a free fit took a polynomial of degree 5 for the screw."""
+    """The parts have a zero of 40 µm of their own; `fit` took a polynomial of degree 5 for the screw."""
     rng = np.random.default_rng(seed)
     machine, wave = small_machine(), 2.0 * np.pi / 5.0
     at = np.arange(10.0, 165.0, 14.0)
