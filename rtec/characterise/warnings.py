@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.characterise.choose import SAME
 from rtec.characterise.coverage import cover_warnings, places_mm
 from rtec.characterise.result import UndecidedTerm, Warn
 from rtec.estimation.end_targets import NEXT
@@ -120,7 +121,8 @@ def all_warnings(
         *_over_fitted(fit, judged),
         *_left_over(judged),
         *_uneven(fit),
-        *_undecided(undecided),
+        *_undecided([r for r in undecided if not _of_another_part(r)]),
+        *_which_part([r for r in undecided if _of_another_part(r)]),
         *_ill_conditioned(fit),
         *_collinear(fit),
         *_sign_changes(fit),
@@ -245,6 +247,31 @@ def _undecided(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
             )
         )
     return out
+
+
+def _of_another_part(rival: UndecidedTerm) -> bool:
+    """Whether an alternative makes the same readings by the same temperature, in another component."""
+    driven = [label.partition(" of ")[2] for label in (rival.instead_of, rival.candidate)]
+    return rival.apart <= SAME * rival.chosen_held_out and driven[0] == driven[1]
+
+
+def _which_part(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
+    """One warning on all terms whose readings another part would make as well."""
+    alike: dict[str, dict[str, None]] = {}
+    for r in rivals:
+        alike.setdefault(r.instead_of, {})[r.candidate.partition(" of ")[0]] = None
+    if not alike:
+        return []
+    each = [f"in place of {mine} as well {' or '.join(others)}" for mine, others in alike.items()]
+    more = f"; and {counted(len(each) - RIVALS, 'more term')}" if len(each) > RIVALS else ""
+    return [
+        Warn(
+            "which_part",
+            f"these readings do not show which part moved: {'; '.join(each[:RIVALS])}{more}",
+            "none of this changes the correction at the arms and poses that were measured; an indicator on each part, "
+            "or an instrument at another arm, tells the parts apart",
+        )
+    ]
 
 
 def _as_well(alike: Sequence[UndecidedTerm]) -> str:

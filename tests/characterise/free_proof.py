@@ -172,7 +172,7 @@ def _judged(
 ) -> Judged:
     if found is None:
         return Judged(kind, seed, (), (), tuple(above), (), True)
-    said = " ".join(w.text for w in found.warnings if w.code in ("confounded", "undecided"))
+    said = " ".join(w.text for w in found.warnings if w.code in ("confounded", "undecided", "which_part"))
     true = {term: value for terms in causes.values() for term, value in terms.items()}
     shaped = {component for effect, component, _ in true if effect in SHAPED}
     z, false, left_open, there = [], [], [], set()

@@ -103,7 +103,7 @@ def test_sensors_that_rise_together_leave_the_cause_open() -> None:
     """Oracle: a laser reads tool against workpiece: a mount that grows and a spindle that grows are one to it."""
     true = Truth(MILL, {"mount_expansion:EYY:sensor=T_column": 1.2, "scale:EYY": 12.0})
     found = characterise([laser(true, "Y", 3, False)])
-    assert any(w.code == "undecided" and "mount_expansion(EYY) of" in w.text for w in found.warnings)
+    assert any(w.code == "which_part" and "mount_expansion(EYY)" in w.text for w in found.warnings)
 
 
 def test_terms_of_one_effect_are_told_apart() -> None:
