@@ -7,6 +7,7 @@ explain begins there; else an effect would be named for what the derivative leav
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from rtec.effects import Parameter
 from rtec.estimation import floor
 from rtec.estimation.candidates import simple_effects
-from rtec.estimation.columns import base_of
+from rtec.estimation.columns import Base, base_of
 from rtec.estimation.gls import solve
 from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
@@ -76,11 +77,27 @@ class _Refits:
 
     def __init__(self, model: Model, readings: Readings) -> None:
         self.model, self.readings = model, readings
-        self.base = base_of(model, readings)
-        self.values = floor.cleaned(readings, readings.values)
-        self.flat = floor.cleaned(readings, self.base.columns)
-        steps = solve(self.flat, floor.cleaned(readings, readings.values - self.base.predicted))
-        self.step = dict(zip(self.base.names, steps, strict=False))
+
+    @cached_property
+    def base(self) -> Base:
+        """Columns under the delays of the model."""
+        return base_of(self.model, self.readings)
+
+    @cached_property
+    def values(self) -> Floats:
+        """The readings, less what the instruments cannot know, (m,)."""
+        return floor.cleaned(self.readings, self.readings.values)
+
+    @cached_property
+    def flat(self) -> Floats:
+        """The columns, less the same, (m, p)."""
+        return floor.cleaned(self.readings, self.base.columns)
+
+    @cached_property
+    def step(self) -> Mapping[str, float]:
+        """What a linear refit changes each number by."""
+        left = floor.cleaned(self.readings, self.readings.values - self.base.predicted)
+        return dict(zip(self.base.names, solve(self.flat, left).tolist(), strict=False))
 
     def delays(self) -> Iterator[tuple[int, Parameter]]:
         """Effects, by number, whose delay is known with an error and seen in these readings."""
