@@ -55,6 +55,7 @@ from rtec.diagnosis.search.refit import (
     Refitted,
     far_better,
     led,
+    predicts_better,
     same_but_finer,
 )
 from rtec.diagnosis.search.run_drift import runs_differ
@@ -318,7 +319,7 @@ class Search:
             half = named and refitted[0].drop < LITTLE and share is not None and share < LEAST
             pair, chain, unknown = self._together(refitted, p, unknown, half or not named)
         if best is not None and named and pair is None and not chain and not self._doubted:
-            chain = self._simple_ones(best, refitted)
+            chain = self._by_direction(best, refitted) or self._simple_ones(best, refitted)
         named = named and not self._doubted
         refitted = _first(pair or (), _first(chain[:1], refitted))
         if pair is not None:
@@ -986,6 +987,29 @@ class Search:
         alone = self.refits.without_shape(best, curve.columns)
         # Without the curve, which no model gets, they must help as well.
         return (alone, curve) if alone[-1].drop > 0.0 else ([], None)
+
+    def _by_direction(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
+        """Shifts that the readings show, in place of an angle that shows only through its arms; else empty.
+
+        A tilt of the spindle moves probes in two directions at once, so it is the best single effect where both grow.
+        Each then needs a delay of its own beside it. The shifts together must be as likely as the angle with what it
+        needs.
+        """
+        if component_unit(self._component(best)) != "urad" or self._component(best) in self._shown:
+            return []
+        bar = self._prior_odds + SURE
+
+        def direct(effect: Effect) -> bool:
+            return effect.component in self._shown and not self._of_time(effect) and self._separate(effect)
+
+        sure = [t for t in refitted if t.holds and t.log_evidence > bar and direct(self.candidates[t.number].effect)]
+        first = max(sure, key=lambda t: t.log_evidence, default=None)
+        chain = self.refits.chain([first], bar, direct) if first is not None else []
+        if len({self._component(t) for t in chain}) < 2:
+            return []
+        whole = self.refits.chain([best], bar, self._separate)
+        likely = chain[-1].log_evidence > whole[-1].log_evidence - WITHIN
+        return chain if likely and not predicts_better(whole[-1], chain[-1]) else []
 
     def _simple_ones(self, best: Refitted, refitted: Sequence[Refitted]) -> list[Refitted]:
         """Simple effects that are missing together; empty where the best alone, or with others later, is the answer.
