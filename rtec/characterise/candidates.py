@@ -39,7 +39,9 @@ THERMAL = {
     "spindle_tilt",
 }  # fmt: skip
 """Effects of `thermal`."""
-DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2, "bed_bending": 2}
+PLAYS = ("nut", "screw")
+"""Parts, in the name of a sensor, whose heat changes the play of an axis; without such a sensor any may tell it."""
+DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2, "bed_bending": 2, "backlash_temperature": 0}
 """Power of the position in an effect of temperature; 0 for the others."""
 
 
@@ -199,6 +201,9 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
     shift = growth if own or kind != "link" else "mount_expansion"
     # Where an axis moves, its mounting shifts or turns the readings as much as a body that is no spindle does.
     twice = not own and any(moves(s.measurement, a) for s in sources for a in machine.axes)
+    along = axis is not None and seen.name[1] == axis.direction
+    turns = along and axis is not None and both_ways(axis, [s for s in sources if reads(s, seen.name)])
+    near = [n for n in varying if any(part in n.lower() for part in PLAYS)]
     for sensor in varying:
         for tau in (None, *taus):
             lag: dict[str, Any] = {} if tau is None else {"lag": True}
@@ -216,6 +221,8 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
                 away = away_from(machine, sensor, axis.name, varying)
                 for grows in ("axis_expansion", "axis_expansion_nonuniform"):
                     yield replace(_candidate("temperature", grows, seen.name, theta, **more), away=away)
+                if tau is None and turns and not away and (sensor in near or not near):
+                    yield replace(_candidate("temperature", "backlash_temperature", seen.name, **more), away=away)
     for front, back in itertools.combinations(varying, 2):
         more = {"feature": f"{front} - {back}", "channels": (front, back), "front": front, "back": back}
         yield _candidate("difference", "column_tilt", seen.name, **more)

@@ -29,7 +29,8 @@ from rtec.characterise.warnings import FEW_BLOCKS
 from rtec.effects import Effect
 from rtec.effects.base import Kind, component_kind
 from rtec.effects.effect_list import AskedEffects, read_wanted
-from rtec.effects.thermal import AxisExpansion
+from rtec.effects.spindle import SpindleGrowth
+from rtec.effects.thermal import AxisExpansion, ColumnTilt, MountExpansion
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
 from rtec.estimation import floor
@@ -400,7 +401,22 @@ def _further_rules(
     loose = [fit.terms[i] for i in fit.undetermined]
     barred = rules.barred | {drive(t.effect) for t in waves if t in loose or not _predicts(readings, fit, t)}
     barred |= _crowded(readings, fit.terms[fixed:], named) | _one_too_many(fit, fixed, named)
+    barred |= _of_two_temperatures(fit.terms[fixed:], named)
     return replace(rules, single=single, barred=barred)
+
+
+def _of_two_temperatures(terms: Sequence[Term], named: Callable[[Term], bool]) -> frozenset[Drive]:
+    """Drives by the difference of two temperatures, beside effects in the same direction by each of the two.
+
+    Of three such numbers the readings show two.
+    """
+    by = {
+        (t.effect.component[:2], t.effect.sensor)
+        for t in terms
+        if isinstance(t.effect, SpindleGrowth | MountExpansion) and t.effect.sensor is not None
+    }
+    tilts = {t.effect for t in terms if isinstance(t.effect, ColumnTilt) and not named(t)}
+    return frozenset(drive(e) for e in tilts if by.issuperset((e.component[:2], s) for s in (e.front, e.back)))
 
 
 def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> frozenset[Drive]:
@@ -408,7 +424,7 @@ def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> f
 
     One that is more than any material's, or an angle that is as much at an arm of 1 m. And of several expansions of one
     component, where one is less than two standard errors from zero, the one farthest from the axis: the readings show
-    the sum of two that warm alike.
+    the sum of two that warm alike. And beside the axis' own sensor that of another axis.
     """
     machine, out = fit.sources[0].measurement.machine, set()
     several: dict[str, list[tuple[int, float, Drive]]] = {}
@@ -422,12 +438,18 @@ def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> f
             out.add(own)
         several.setdefault(term.effect.component, []).append((away, error / max(abs(k), TINY), own))
     for of in several.values():
+        if any(away == 0 for away, _, _ in of):  # beside the axis' own sensor, another axis' is a second look at it
+            out |= {d for away, _, d in of if away == ANOTHER}
         if len({d for _, _, d in of}) > 1 and max(unsure for _, unsure, _ in of) > 1.0 / SURE:
             out.add(max(of, key=lambda f: f[:2])[2])
     return frozenset(out)
 
 
 TINY = 1e-300
+ANOTHER = 2
+"""How far a sensor is from an axis whose name says that it is on another one."""
+SENSOR_S = 300.0
+"""No sensor of a machine is later than its part by more, s."""
 UNSURE = 2.0
 """A number within so many standard errors of zero is not known."""
 TAKES_BACK = 3.0
@@ -439,7 +461,8 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
 
     They fit the difference of two temperatures on this day. And drives of one effect by one temperature with two
     delays, of which one makes several times what both together do: they fit how fast it changes. Or of which neither is
-    two standard errors from zero, once the delays are estimated: only their sum is known.
+    two standard errors from zero, once the delays are estimated: only their sum is known. Or which only make up for the
+    delay of the sensor itself: both are short, and of opposite signs.
     """
     grown: dict[str, list[tuple[float, Drive]]] = {}
     for i, term in enumerate(fit.terms[fixed:], fixed):
@@ -452,9 +475,19 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
         own = np.flatnonzero(np.isin(fit.linear.owner, terms))
         return float(fit.values[own] @ fit.linear.total[np.ix_(own, own)] @ fit.values[own])
 
-    late = [i for i, t in enumerate(fit.terms) if i >= fixed and "tau" in t.theta and not named(t)]
+    def value(i: int) -> float:
+        return float(fit.values[np.flatnonzero(fit.linear.owner == i)[0]])
+
+    def leads(i: int, j: int) -> bool:
+        soon = max(fit.terms[k].theta.get("tau", 0.0) for k in (i, j)) < SENSOR_S
+        return soon and value(i) * value(j) < 0.0
+
+    late = [i for i, t in enumerate(fit.terms) if i >= fixed and _sensed(t) and not named(t)]
     pairs = [
-        (i, j) for i, j in itertools.combinations(late, 2) if drive(fit.terms[i].effect) == drive(fit.terms[j].effect)
+        (i, j)
+        for i, j in itertools.combinations(late, 2)
+        if drive(fit.terms[i].effect) == drive(fit.terms[j].effect)
+        and fit.terms[i].theta.get("tau") != fit.terms[j].theta.get("tau")
     ]
 
     def unsure(i: int) -> bool:
@@ -464,7 +497,7 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
     both = [
         (i, j)
         for i, j in pairs
-        if max(square(i), square(j)) > TAKES_BACK**2 * square(i, j) or (unsure(i) and unsure(j))
+        if max(square(i), square(j)) > TAKES_BACK**2 * square(i, j) or (unsure(i) and unsure(j)) or leads(i, j)
     ]
     return [drives for drives, ways in signs if len(ways) > 1] + [
         frozenset({drive(fit.terms[i].effect)}) for i, _ in both
