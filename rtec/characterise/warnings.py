@@ -269,7 +269,7 @@ def _which_part(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
             "which_part",
             f"these readings do not show which part moved: {'; '.join(each[:RIVALS])}{more}",
             "none of this changes the correction at the arms and poses that were measured; an indicator on each part, "
-            "or an instrument at another arm, tells the parts apart",
+            "or an instrument at another arm, separates them",
         )
     ]
 

@@ -38,7 +38,7 @@ def bodies(seed: int, hours: float, nuts_w: float, spindle: bool) -> tuple[Float
     """Times in s, and the true temperatures above 20 °C of nuts, spindle and column by sensor, (n,)."""
     rng = np.random.default_rng(seed)
     n = int(3600.0 * hours / STEP_S)
-    time_s = STEP_S * np.arange(n)
+    time_s = np.arange(0.0, STEP_S * n, STEP_S)
     air = 0.8 * np.sin(2.0 * np.pi * time_s / 86400.0 + rng.uniform(0.0, 6.0))
     axes, turning = (np.repeat(rng.choice([0.0, 0.4, 1.0], n // 300 + 1), 300)[:n] * (time_s > 900.0) for _ in range(2))
     heat = {"T_x_nut": 18.0 * nuts_w * axes, "T_y_nut": 18.0 * nuts_w * axes, "T_spindle": 110.0 * spindle * turning}
