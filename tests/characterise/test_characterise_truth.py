@@ -42,7 +42,7 @@ def bodies(seed: int, hours: float, nuts_w: float, spindle: bool) -> tuple[Float
     air = 0.8 * np.sin(2.0 * np.pi * time_s / 86400.0 + rng.uniform(0.0, 6.0))
     axes, turning = (np.repeat(rng.choice([0.0, 0.4, 1.0], n // 300 + 1), 300)[:n] * (time_s > 900.0) for _ in range(2))
     heat = {"T_x_nut": 18.0 * nuts_w * axes, "T_y_nut": 18.0 * nuts_w * axes, "T_spindle": 110.0 * spindle * turning}
-    mass = {"T_x_nut": 2.5e3, "T_y_nut": 2.3e3, "T_spindle": 8e3, "T_column": 6e4}
+    mass = {"T_x_nut": 2.5e3, "T_y_nut": 2.5e3, "T_spindle": 8e3, "T_column": 6e4}
     loss = {"T_x_nut": 1.3, "T_y_nut": 1.3, "T_spindle": 3.0, "T_column": 8.0}
     now, out = dict.fromkeys(mass, 0.0), {k: np.empty(n) for k in mass}
     for i in range(n):

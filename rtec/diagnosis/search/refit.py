@@ -571,10 +571,20 @@ class Refits:
     def _few(self, found: Screen, may: Callable[[Effect], bool], there: Sequence[tuple[str, str]]) -> list[int]:
         """The best few candidates beside effects that are already fitted, one of each effect of a component.
 
-        One effect of one component by two sensors is that effect of a body without a sensor of its own.
+        One effect of one component by two sensors is that effect of a body without a sensor of its own. One by the
+        sensor of another axis is followed by the same effect by the axis' own, which may be as good.
         """
         order = [i for i in self._distinct(found) if may(self.candidates[i].effect) and self._name(i) not in there]
-        return diverse(order, [" ".join(self._name(i)) for i in range(len(self.candidates))], BESIDE, 1)
+        few = diverse(order, [" ".join(self._name(i)) for i in range(len(self.candidates))], BESIDE, 1)
+        return [*dict.fromkeys(n for i in few for n in (i, *self._by_own(i, found.order)))]
+
+    def _by_own(self, number: int, order: Sequence[int]) -> list[int]:
+        """The best candidate of the same effect by no sensor of another axis, where a candidate is by one."""
+        machine, effects = self.readings.machine, self.candidates
+        if not elsewhere(effects[number].effect, machine):
+            return []
+        own = (i for i in order if self._name(i) == self._name(number) and not elsewhere(effects[i].effect, machine))
+        return [*itertools.islice(own, 1)]
 
     def _exchanged(self, members: list[Refitted], bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """Several effects, each replaced by what is likelier beside the others; the same where nothing is.
