@@ -115,7 +115,7 @@ def _changed_delays(judged: Judgement) -> list[Doubt]:
     )
     sensors = listed(list(dict.fromkeys(str(getattr(f.effect, "sensor", "the sensor")) for f, _ in changed)))
     is_ = "is where it was" if " and " not in sensors else "are where they were"
-    step = f"`rtec improve` refits it. Check first that {sensors} {is_}: a sensor that was moved lags otherwise."
+    step = f"`rtec improve` refits it. Check first that {sensors} {is_}: a moved sensor has another delay."
     return [Doubt("changed_delay", message, step)]
 
 
