@@ -41,7 +41,7 @@ THERMAL = {
 """Effects of `thermal`."""
 PLAYS = ("nut", "screw")
 """Parts, in the name of a sensor, whose heat changes the play of an axis; without such a sensor any may tell it."""
-DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2, "bed_bending": 2, "backlash_temperature": 0}
+DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2, "bed_bending": 2}
 """Power of the position in an effect of temperature; 0 for the others."""
 
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from rtec.characterise.candidates import (
     BEND,
-    DEGREE,
     EVERY_MACHINE,
     Drive,
     TermCandidate,
@@ -483,7 +482,7 @@ def _settled(table: HeldOutTable, path: Sequence[list[int]], forced: list[int]) 
     chosen = _smallest_good(table, path)
     chosen = _drop(table, chosen, forced, table.errors(_best(table, path)))
     for _ in range(SWAPS):
-        better = _of_one(table, _joined(table, _swapped(table, chosen, forced), forced), forced)
+        better = _joined(table, _swapped(table, chosen, forced), forced)
         if set(better) == set(chosen):
             break
         best = min((table.errors(c) for c in (better, _best(table, path))), key=np.sum)
@@ -498,7 +497,7 @@ def _other_starts(
     with nothing behind a lever arm, where something is.
 
     A search that adds one term at a time may find one that stands for several, and then adds what mends it: a tilt for
-    the growth of two directions, which lag otherwise.
+    the growth of two directions, each with its own delay.
     """
     both = [*forced, *(i for i in table.of_every_machine if i not in forced)]
     start = _without_harm(table, independent(table.normal, [table.columns[i] for i in both], both), forced)
@@ -723,30 +722,6 @@ def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[i
                 fewer = len(one) < len(chosen) and one_standard_error(table.errors(one), table.errors(chosen))
                 if fewer or table.held_out(one) < table.held_out(chosen) * (1 - PAYS):
                     chosen = one
-    return chosen
-
-
-def _of_one(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
-    """The choice with a difference of two temperatures and one of the two replaced by the other, where that is as good.
-
-    The difference of a temperature that acts and one that hardly moves is nearly the first; the second takes the rest.
-    """
-    for d, t in itertools.permutations([i for i in chosen if i not in forced], 2):
-        two, one = table.candidates[d], table.candidates[t]
-        if two.kind != "difference" or one.kind != "temperature" or DEGREE.get(one.effect, 0):
-            continue
-        if one.component[:2] != two.component[:2] or not set(one.channels) < set(two.channels):
-            continue
-        rest, left = [j for j in chosen if j not in (d, t)], tuple(set(two.channels) - set(one.channels))
-        near = [
-            k
-            for k in table.shortlist(rest, len(table.candidates))
-            if table.candidates[k].channels == left and _form(table.candidates[k]) == _form(one)
-        ]
-        if near:
-            other = [*rest, near[int(np.argmin(table.held_out_beside(rest, near)))]]
-            if one_standard_error(table.errors(other), table.errors(chosen)):
-                return _of_one(table, other, forced)
     return chosen
 
 

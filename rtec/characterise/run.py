@@ -464,9 +464,13 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
     two standard errors from zero, once the delays are estimated: only their sum is known. Or which only make up for the
     delay of the sensor itself: both are short, and of opposite signs.
     """
+
+    def value(i: int) -> float:
+        return float(fit.values[np.flatnonzero(fit.linear.owner == i)[0]])
+
     grown: dict[str, list[tuple[float, Drive]]] = {}
     for i, term in enumerate(fit.terms[fixed:], fixed):
-        k = float(fit.values[np.flatnonzero(fit.linear.owner == i)[0]])
+        k = value(i)
         if isinstance(term.effect, AxisExpansion) and abs(k) > EXPANDS and not named(term):
             grown.setdefault(term.effect.component, []).append((k, drive(term.effect)))
     signs = [(frozenset(d for _, d in of), {k > 0.0 for k, _ in of}) for of in grown.values()]
@@ -474,9 +478,6 @@ def _against_each_other(fit: Estimate, fixed: int, named: Callable[[Term], bool]
     def square(*terms: int) -> float:
         own = np.flatnonzero(np.isin(fit.linear.owner, terms))
         return float(fit.values[own] @ fit.linear.total[np.ix_(own, own)] @ fit.values[own])
-
-    def value(i: int) -> float:
-        return float(fit.values[np.flatnonzero(fit.linear.owner == i)[0]])
 
     def leads(i: int, j: int) -> bool:
         soon = max(fit.terms[k].theta.get("tau", 0.0) for k in (i, j)) < SENSOR_S

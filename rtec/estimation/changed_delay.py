@@ -163,6 +163,6 @@ class _Refits:
         return False
 
 
-def late(effects: Sequence[FittedEffect], delays: Delays) -> tuple[FittedEffect, ...]:
+def with_delays(effects: Sequence[FittedEffect], delays: Delays) -> tuple[FittedEffect, ...]:
     """The effects with other delays."""
     return tuple(replace(f, theta={**f.theta, "tau": delays[i]}) if i in delays else f for i, f in enumerate(effects))

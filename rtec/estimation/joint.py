@@ -19,7 +19,7 @@ from rtec.effects.geometry import Scale
 from rtec.effects.reversal import Backlash, BacklashTemperature
 from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError, ModelError
-from rtec.estimation.changed_delay import Delays, changed_delays, late
+from rtec.estimation.changed_delay import Delays, changed_delays, with_delays
 from rtec.estimation.columns import slope
 from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gls import HeldOut, along_runs, held_out, inverse, solve
@@ -141,7 +141,7 @@ class _Work:
     @property
     def thetas(self) -> list[dict[str, float]]:
         """Non-linear parameters of each effect at which a search begins."""
-        return [dict(f.theta) for f in late(self.start, self.delays)]
+        return [dict(f.theta) for f in with_delays(self.start, self.delays)]
 
     @property
     def known(self) -> Sequence[FittedEffect]:

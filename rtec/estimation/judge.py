@@ -175,7 +175,8 @@ class Judgement:
         Nor where it changes the prediction by more than is to be explained: then another number takes that back. A
         delay that has changed comes first.
         """
-        for i, delay_s in self.given.delays.items():
+        if self.given.delays:
+            i, delay_s = next(iter(self.given.delays.items()))
             f = self.model.effects[i]
             return ChangedNumber(f.label, "tau", "s", f.theta["tau"], delay_s, math.nan)
         out, most, at, names = None, 0.0, 0, self.base.names

@@ -134,7 +134,7 @@ def _put_in_order(
     falls = np.flatnonzero(np.diff(time_s) < 0) + 1
     if len(falls) and not time.restarts:
         i = falls[0]
-        if epoch is not None and zone is None and falls_by_an_hour(time_s):
+        if epoch is not None and zone is None and _falls_by_an_hour(time_s):
             raise MeasurementError(
                 f"{source}: line {table.lines[i]}: local time falls by an hour, as at the end of summer time; say the "
                 f"time zone: [time] zone = …, {SUCH_AS}"
@@ -173,10 +173,10 @@ def summer_time_ends(table: ForeignTable, time: Mapping[str, Any], source: str) 
         time_s, _, zone = _of_day(table, Time(**time), source, None)
     except MeasurementError:
         return False
-    return zone is None and falls_by_an_hour(time_s[np.isfinite(time_s)])
+    return zone is None and _falls_by_an_hour(time_s[np.isfinite(time_s)])
 
 
-def falls_by_an_hour(time_s: Floats) -> bool:
+def _falls_by_an_hour(time_s: Floats) -> bool:
     """Whether the only fall of a clock is by an hour, but for the time from one row to the next."""
     steps = np.diff(time_s)
     falls = steps[steps < 0]
