@@ -65,7 +65,10 @@ def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedT
             if there > here * (1 + NEAR) or (which in best and best[which].held_out <= there):
                 continue
             apart = _difference_um(table, chosen, [*rest, k])
-            best[which] = UndecidedTerm(mine.label, other.label, mine.component, other.channels, there, here, apart)
+            alike = other.feature == mine.feature
+            best[which] = UndecidedTerm(
+                mine.label, other.label, mine.component, other.channels, there, here, apart, alike
+            )
         out += sorted(best.values(), key=lambda r: (r.apart <= SAME * here, r.held_out))
     return out
 

@@ -103,6 +103,7 @@ class UndecidedTerm:
         channels: channels that drive the alternative.
         held_out, chosen_held_out: root mean squares on held-out blocks of both, in units of the rough noise.
         apart: root mean square difference of the two predictions at the readings, in the same units.
+        alike: whether the same temperature or speed drives both.
     """
 
     instead_of: str
@@ -112,6 +113,7 @@ class UndecidedTerm:
     held_out: float
     chosen_held_out: float
     apart: float
+    alike: bool
 
 
 @dataclass(frozen=True)

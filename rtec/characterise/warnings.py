@@ -251,8 +251,7 @@ def _undecided(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
 
 def _of_another_part(rival: UndecidedTerm) -> bool:
     """Whether an alternative makes the same readings by the same temperature, in another component."""
-    driven = [label.partition(" of ")[2] for label in (rival.instead_of, rival.candidate)]
-    return rival.apart <= SAME * rival.chosen_held_out and driven[0] == driven[1]
+    return rival.alike and rival.apart <= SAME * rival.chosen_held_out
 
 
 def _which_part(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
