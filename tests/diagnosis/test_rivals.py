@@ -311,7 +311,7 @@ def test_of_sensors_that_predict_alike_the_effect_of_fewer_numbers_is_first() ->
     def first(*given: Any) -> Any:
         for i, t in enumerate(given):
             t.number = i
-        effects: Any = {t.number: SimpleNamespace(channels=lambda _, of=t: of.channels) for t in given}
+        effects: Any = {t.number: SimpleNamespace(component="EXX", channels=lambda _, of=t: of.channels) for t in given}
         return leaner_first(list(given), effects, machine, 5.0)[0]
 
     assert first(late, poor, plain) is plain

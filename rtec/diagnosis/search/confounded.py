@@ -75,9 +75,9 @@ def _against_usual(effect: Effect, values: Floats, machine: Machine) -> float:
 
 
 def elsewhere(effect: Effect, machine: Machine) -> bool:
-    """Whether an effect along an axis follows a sensor whose name says that it is at another axis."""
-    axis, sensor = getattr(effect, "axis", None), getattr(effect, "sensor", None)
-    return axis is not None and sensor is not None and machine.of_another_axis(sensor, axis)
+    """Whether an effect follows a sensor whose name says that it is at another axis; of a spindle, at any axis."""
+    axis = getattr(effect, "axis", None) or effect.component[2:].removeprefix("0")
+    return any(machine.of_another_axis(c, axis) for c in effect.channels(machine) if c in machine.sensor_names)
 
 
 def cosine(a: Floats, b: Floats) -> float:
