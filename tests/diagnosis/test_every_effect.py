@@ -12,7 +12,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from tests.support.effect_example import MACHINE, REFERENCE_DEGC, Example, states
+from tests.support.effect_example import MACHINE, Example, states
 from tests.support.effect_examples import EXAMPLES
 
 NOISE_UM, READINGS, RUNS = 0.3, 120, 4
