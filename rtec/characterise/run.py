@@ -56,7 +56,7 @@ from rtec.estimation.targets import FEW as FEW_TARGETS
 from rtec.estimation.targets import WAVES, predicts_targets, targets_along
 from rtec.estimation.warm_start import STEP as BEGIN
 from rtec.estimation.warm_start import WarmStart, cooling, in_words
-from rtec.estimation.warmth import EXPANDS, SURE
+from rtec.estimation.warmth import EXPANDS, SENSOR_S, SURE
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import BallBar
@@ -448,8 +448,6 @@ def _one_too_many(fit: Estimate, fixed: int, named: Callable[[Term], bool]) -> f
 TINY = 1e-300
 ANOTHER = 2
 """How far a sensor is from an axis whose name says that it is on another one."""
-SENSOR_S = 300.0
-"""No sensor of a machine is later than its part by more, s."""
 UNSURE = 2.0
 """A number within so many standard errors of zero is not known."""
 TAKES_BACK = 3.0

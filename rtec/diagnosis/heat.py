@@ -17,8 +17,9 @@ from rtec.estimation.gls import Fit, without_runs
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
-from rtec.estimation.warmth import expands_much
+from rtec.estimation.warmth import SENSOR_S, expands_much
 from rtec.metrology.instruments.laser import LaserLinear
+from rtec.model import FittedEffect
 from rtec.wording import ERROR_UNITS, listed, number, significant
 
 Floats = NDArray[np.float64]
@@ -164,6 +165,36 @@ def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> 
             f"the readings follow {mine}: is the sensor connected?"
         )
         return Doubt("dead_sensor", message, "Check it, and measure again.", fatal=True)
+    return None
+
+
+def late_sensor(effect: Effect, delay_s: float, value: float, known: Sequence[FittedEffect]) -> Doubt | None:
+    """Doubt where an effect that the model has would follow the same sensor with one more short delay; None elsewhere.
+
+    Both together follow the temperature and how fast it changes: the sensor, or the part, is late by that.
+
+    Args:
+        effect: the candidate for a name.
+        delay_s: its delay.
+        value: its number.
+        known: effects of the model.
+    """
+    for f in known:
+        late = {"lag": True} if getattr(f.effect, "lag", None) is False else {}
+        soon = max(delay_s, f.theta.get("tau", 0.0)) < SLOW_S
+        if not soon or f.effect.model_copy(update=late) != effect or len(f.values) != 1:
+            continue
+        by_s = -value * (delay_s - f.theta.get("tau", 0.0)) / next(iter(f.values.values()))
+        if abs(by_s) > SENSOR_S:
+            continue
+        late_one, other = ("sensor", "part") if by_s > 0.0 else ("part", "sensor")
+        sensor = getattr(effect, "sensor", "the temperature")
+        message = (
+            f"The residual follows how fast {sensor} changes, as if the {late_one} were {abs(by_s):.0f} s later than "
+            f"the {other}: no other effect than {f.label} of the model is needed."
+        )
+        step = f"Fix {sensor} closer to its part, or heat the machine more slowly."
+        return Doubt("late_sensor", message, step, fatal=True)
     return None
 
 

@@ -177,6 +177,8 @@ def misread(model: Model, readings: Readings, effect: Effect, change: float) -> 
     return None
 
 
+SENSOR_S = 300.0
+"""No sensor of a machine is later than its part by more, s."""
 SHARED = 0.25
 """The sum of what several temperatures make of one expansion stays what the day of the fit showed, and none of them
 grows beside another one, but for this share or `SURER` standard errors."""

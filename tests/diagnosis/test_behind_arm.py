@@ -4,11 +4,14 @@ Oracle: the lever arm of each beam, which is its height above the axis.
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rtec
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import Search, diagnose
 from rtec.diagnosis.search.refit import Refitted
 from rtec.effects.reversal import AngularReversal, Backlash
@@ -16,6 +19,7 @@ from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.machine import load_machine
+from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign.truth import effect_from_text
@@ -92,3 +96,46 @@ def test_a_shift_by_one_temperature_is_before_an_angle_by_two(less: float, first
 
     tilt, shift = fitted("column_tilt", "EBX", 9.0), fitted("mount_expansion", "EXX", 9.0 - less)
     assert search.candidates[search._direct_first([tilt, shift])[0].number].effect.effect == first
+
+
+BRIDGE = """[machine]
+name = "bridge"
+tool_chain = ["X", "probe"]
+work_chain = ["Y", "table"]
+[axis]
+X = { direction = "X", travel_mm = [0, 700], counts_per_mm = 1000 }
+Y = { direction = "Y", travel_mm = [0, 1000], counts_per_mm = 1000 }
+[link]
+probe = {}
+table = {}
+[temperature]
+T_beam = {}
+T_air = {}
+"""
+
+
+def test_a_beam_that_bows_between_its_ends_is_a_shift_and_no_tilt_at_the_place_of_the_carriage(tmp_path: Path) -> None:
+    """Straightness of Y while X stands: the beam bows by 1.2 µm/K of the difference of two temperatures.
+
+    Oracle: the curve that was added, which is the same wherever X stands. As it was, a tilt of the table was named,
+    "no other" in its place: with X elsewhere the improved model was worse than none.
+    """
+    (tmp_path / "m.toml").write_text(BRIDGE)
+    machine, rng = load_machine(tmp_path / "m.toml"), np.random.default_rng(4)
+    y, run = np.tile(np.linspace(10.0, 990.0, 15), 24), np.repeat(np.arange(24), 15)
+    time_s = 25.0 * np.arange(360.0) + 900.0 * run
+    beam, air = 20.0 + 3.0 * np.sin(time_s / 7000.0), 20.3 + 1.2 * np.sin(time_s / 11000.0 + 1.0)
+    bow = -1.2 * (beam - air) * (1.0 - ((y - 500.0) / 500.0) ** 2)
+
+    def line(x_mm: float, noise_um: float) -> Measurement:
+        channels = {"x": np.full(360, x_mm), "y": y, "T_beam": np.round(beam, 1), "T_air": np.round(air, 1)}
+        instrument = make_instrument("straightness", {"direction": "Z"}, "Y", None, machine, "line")
+        read_um = {"reading_um": bow + noise_um * rng.standard_normal(360)}
+        return Measurement(f"line{x_mm:g}", instrument, machine, run, time_s, channels, read_um)
+
+    better = improve(Model(machine, (), name="empty"), [line(300.0, 0.2)], draws=50).model
+    assert {(f.effect.effect, f.effect.component[:2]) for f in better.effects} == {
+        ("column_tilt", "EZ"),
+        ("bed_bending", "EZ"),
+    }
+    assert compare(better, [line(650.0, 0.0)]).judged.residual < 0.15

@@ -1,6 +1,7 @@
 """Bodies that warm up after their sensors, or about another end of an axis. Oracle: the law in the readings."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.history import improved_page
+from rtec.sim.campaign.truth import effect_from_text
 from tests.support.diagnosis_examples import TABLE
 from tests.support.machines import axis
 from tests.support.warming import delayed
@@ -194,3 +196,33 @@ def test_a_column_that_leans_after_its_sides_are_warm_is_named() -> None:
     assert d.findings[0].theta["tau"] == pytest.approx(3000.0, rel=0.2)
     done = improve(known, [m], draws=50)
     assert Judgement(done.model, clean([probed(5, 6.0, 3000.0)])).residual < 1.2 * 0.4
+
+
+@pytest.mark.parametrize("late_s", [45.0, 75.0])
+def test_a_sensor_that_is_read_late_is_no_missing_effect(late_s: float) -> None:
+    """A screw as in the model, its sensor behind it by a first-order lag and read in steps of 0.1 K.
+
+    Oracle: the lag. As it was, "axis_expansion(EXX, X, T_x_nut) is missing", which the model has.
+    """
+    rng, runs, k = np.random.default_rng(7), 24, 11.5
+    there = np.linspace(-590.0, -10.0, TARGETS)
+    x = np.tile(np.concatenate([there, there[::-1]]), runs)
+    run = np.repeat(np.arange(runs), 2 * TARGETS)
+    time_s = 8.0 * np.arange(len(x)) + 300.0 * run
+    at_s = np.arange(0.0, time_s[-1] + 1.0)
+    screw = 20.0 + 4.0 * np.sin(at_s / 2200.0) ** 2
+    shown = np.interp(time_s, at_s, delayed(screw, at_s, late_s))
+    grown = k * 1e-3 * x * (np.interp(time_s, at_s, screw) - 20.0)
+    machine = mill()
+    m = Measurement(
+        name="late", machine=machine, run=run, time_s=time_s, channels={"x": x, "T_bed": np.round(shown, 1)},
+        instrument=make_instrument("laser_linear", {}, "X", None, machine, "test"),
+        readings={"reading_um": grown + 0.6 * rng.standard_normal(len(x))},
+    )  # fmt: skip
+    growth = effect_from_text(f"axis_expansion,component=EXX,axis=X,sensor=T_bed,k={k}", machine)
+    found = diagnose(Model(machine, (growth,), name="known"), [m], draws=50)
+    assert found.verdict in ("nothing_missing", "undecided")
+    (said,) = [d for d in found.doubts if d.kind == "late_sensor"]
+    told = re.search(r"as if the sensor were (\d+) s later than the part", said.message)
+    assert told
+    assert float(told[1]) == pytest.approx(late_s, rel=0.3)

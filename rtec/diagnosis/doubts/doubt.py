@@ -9,7 +9,8 @@ Kind = Literal[
     "instrument_warm_up", "between_files", "dead_sensor", "turned_axis", "late_temperatures", "lost_sensor",
     "unexplained", "two_levels", "few_targets", "too_few", "cycle", "not_read", "swapped_axes", "wrong_direction",
     "wrong_rate", "far_temperatures", "outside_travel", "scatter", "beyond_materials", "swapped_readings",
-    "beam_in_air", "sensor_offset", "warm_start", "changed_delay",
+    "beam_in_air", "sensor_offset", "warm_start", "changed_delay", "late_sensor",
+    "pre_travel",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -49,6 +50,8 @@ DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {
     "scatter",
 }
 """Doubts beside which it is undetermined whether an effect is missing."""
+BESIDE_A_NAME: frozenset[Kind] = frozenset({"beam_in_air", "not_read", "warm_start", "late_temperatures", "pre_travel"})
+"""Doubts that are said beside a named effect, as what may cause the same."""
 CHANGES_SLOWLY: frozenset[Kind] = frozenset({"instrument_warm_up", "no_temperature", "beyond_materials"})
 """Doubts about a change over hours, which moves the readings of both directions alike."""
 

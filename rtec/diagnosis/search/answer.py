@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts.doubt import Doubt
+from rtec.diagnosis.doubts.doubt import BESIDE_A_NAME, Doubt
 from rtec.diagnosis.doubts.record import runs_too_few, scatters, swings, too_few, unexplained
 from rtec.diagnosis.heat import (
     beam_in_air,
@@ -581,7 +581,7 @@ class _Answer:
         foreign += [
             d.words
             for d in draft.doubts
-            if d.kind in ("beam_in_air", "not_read", "warm_start", "late_temperatures") and not d.fatal
+            if d.kind in BESIDE_A_NAME and not d.fatal
         ]
         return words.with_sentence(draft, smallest, fatal, foreign)
 

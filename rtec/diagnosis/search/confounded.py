@@ -174,7 +174,7 @@ def _drivers(effect: Effect) -> set[str]:
     return {str(v) for k, v in given.items() if k in ("sensor", "front", "back", "axis", "other", "across")}
 
 
-STEPS = {"positioning": 0, "straightness": 1, "axis_angle": 1, "tilt": 2, "roll": 2, "link": 3, "link_angle": 3}
+STEPS = {"positioning": 0, "straightness": 1, "axis_angle": 1, "tilt": 2, "roll": 2, "link": 3, "link_angle": 4}
 
 
 def directness(effect: Effect, machine: Machine) -> int:

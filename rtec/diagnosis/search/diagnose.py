@@ -16,9 +16,11 @@ from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.doubts.edits import Edits
 from rtec.diagnosis.doubts.not_read import as_well
+from rtec.diagnosis.doubts.pre_travel import by_pre_travel
 from rtec.diagnosis.doubts.record import doubts, few_runs, targets_apart
 from rtec.diagnosis.heat import (
     dead_sensor,
+    late_sensor,
     more_than_any_material,
     only_between_files,
     only_time,
@@ -74,6 +76,7 @@ from rtec.diagnosis.search.unnamed import (
 )
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
+from rtec.effects.reversal import Backlash
 from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.given import given_to
 from rtec.estimation.gls import along_runs, held_out_gain, solve
@@ -329,6 +332,7 @@ class Search:
         named = named or bool(chain) or pair is not None
         if self._few is not None and unknown is None and not named:
             self.doubts = (*self.doubts, targets_apart(self._few.channels, self._few.at_mm.tolist()))
+        self.doubts = (*self.doubts, *self._by_probe(chain))
         undecided = None if named else self._undecided(refitted)
         if undecided is not None and (unknown is None or beats_drift(undecided[1], self._top_shape)):
             unknown, refitted = None, _first(undecided[1:], refitted)
@@ -343,6 +347,18 @@ class Search:
                 undecided[0] if undecided is not None else None,
             )
         )  # fmt: skip
+
+    def _by_probe(self, members: Sequence[Refitted]) -> tuple[Doubt, ...]:
+        """Doubt that a touch probe's pre-travel makes reversals that are alike in all directions; empty for none."""
+        plays = dict[str, float]()
+        for t in members:
+            effect, first = (
+                self.candidates[t.number].effect,
+                self.prepared.base.shape[1] if t.before is None else t.before,
+            )
+            if isinstance(effect, Backlash):
+                plays[effect.axis] = float(members[-1].fit.values[first])
+        return by_pre_travel(self.readings, plays)
 
     def _in_order(self, found: Screen, p: float) -> tuple[list[Refitted], bool]:
         """Refitted candidates, the one to be named first; and whether noise alone is an unlikely cause of it."""
@@ -540,10 +556,18 @@ class Search:
         return (
             self._beyond_materials(best)
             or dead_sensor(self.readings, effect, known)
+            or self._late_sensor(best)
             or self._between_files(best)
             or self._sensor_offset(best)
             or as_well(self.judged, self.readings, self.prepared.base, best.columns, effect.label)
         )
+
+    def _late_sensor(self, best: Refitted) -> Doubt | None:
+        """Doubt that a sensor of the model is late; none where the effect removes most of the held-out mean square."""
+        if best.drop >= HALF:
+            return None
+        effect, value = self.candidates[best.number].effect, float(best.fit.values[self.prepared.base.shape[1]])
+        return late_sensor(effect, best.theta.get("tau", math.inf), value, self.model.effects)
 
     def _sensor_offset(self, best: Refitted) -> Doubt | None:
         """Doubt where a sensor that reads a little more or less in one of several files explains the readings as well.
