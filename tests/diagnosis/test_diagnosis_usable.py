@@ -30,6 +30,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model, save_model
 from rtec.model.history import rescaled, steps_of
 from rtec.report.history import improved_page
+from tests.support.both import both
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
 
 Floats = NDArray[np.float64]
@@ -67,13 +68,13 @@ def test_a_drift_of_three_runs_makes_no_number_out_of_date() -> None:
     readings = {"reading_um": (whole.readings["reading_um"] + sloped)[few]}
     channels = {k: v[few] for k, v in whole.channels.items()}
     m = dataclasses.replace(whole, run=whole.run[few], time_s=whole.time_s[few], channels=channels, readings=readings)
-    found = diagnose(model_of(*own), [m], draws=50)
+    found, done = both(model_of(*own), [m], draws=50)
     assert found.verdict == "nothing_missing"
     assert found.judged is not None
     assert found.judged.refitted < 0.8 * found.rms_residual < found.judged.held_out
     assert not found.out_of_date
     assert "out of date" not in found.sentence
-    assert improve(model_of(*own), [m]).refit is None
+    assert done.refit is None
 
 
 def test_improve_leaves_good_numbers_alone() -> None:

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from rtec.characterise import characterise
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support import proof
+from tests.support.both import both
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 
 Floats = NDArray[np.float64]
@@ -53,10 +53,9 @@ def asked(model: Model, m: Measurement) -> list[tuple[str, bool]]:
 
 def stops(model: Model, m: Measurement) -> str:
     """The answer, after nothing was named and nothing written."""
-    d = diagnose(model, [m], draws=50, explain=True)
+    d, done = both(model, [m], changes=True, draws=50)
     assert d.verdict == "undecided"
     assert not any(f.accepted for f in d.findings)
-    done = improve(model, [m], draws=50)
     assert done.reason == "undecided"
     assert done.model.hash == model.hash
     return d.sentence

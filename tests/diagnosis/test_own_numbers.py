@@ -26,6 +26,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.report.diagnosis import diagnosis_page
+from tests.support.both import both
 from tests.support.diagnosis_examples import effects, laser, small_machine
 from tests.support.machines import axis
 
@@ -117,10 +118,9 @@ def test_improve_refits_what_a_diagnosis_says_it_refits() -> None:
         [there_and_back("before", 4, 1.0)], wanted=read_wanted("scale,polynomial_position,backlash", MACHINE)
     )
     worn = there_and_back("now", 5, 5.5)
-    found = diagnose(known, [worn], draws=50)
+    found, done = both(known, [worn], draws=50)
     assert found.out_of_date
     assert "above all backlash(EXX, X) B from " in found.sentence
-    done = improve(known, [worn], draws=50)
     assert not done.steps
     assert done.refit is not None
     assert next(f for f in done.model.effects if f.effect.effect == "backlash").values["B"] == pytest.approx(

@@ -17,6 +17,7 @@ from rtec.model import Model
 from rtec.report.history import improved_page
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
+from tests.support.both import both
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 from tests.support.setups import CONFIGS
 
@@ -52,10 +53,9 @@ def after_a_jump() -> tuple[Improved, float]:
 
 def test_a_zero_that_moved_is_not_written_into_the_model() -> None:
     m, at = jumped(laser(KNOWN, 11))
-    d = diagnose(known(), [m], draws=50)
+    d, done = both(known(), [m], draws=50)
     assert d.findings[0].effect.effect == "missed_counts"
     assert d.sentence.endswith("; a display that was zeroed again, or a set-up that was touched, makes the same jump")
-    done = improve(known(), [m], draws=50)
     assert not done.steps
     assert done.model.hash == known().hash
     assert done.reason == "nothing_missing"

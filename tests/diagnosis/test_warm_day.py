@@ -20,6 +20,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
+from tests.support.both import both
 from tests.support.machines import axis
 
 MACHINE = machine_from(
@@ -80,10 +81,9 @@ def error_um(model: Model, m: Measurement) -> float:
 @pytest.mark.parametrize("fit_degc", [20.3, 23.0])
 def test_the_air_is_four_kelvin_colder_than_at_the_fit(fit_degc: float, seed: int) -> None:
     today, warm = day(seed, fit_degc - 4.0, GLASS), day(9, fit_degc + 2.5, GLASS)
-    d = diagnose(fitted(fit_degc), [today], draws=50, explain=True)
+    d, done = both(fitted(fit_degc), [today], changes=True, draws=50)
     assert "T_air is 4.0 K colder than in the fit" in d.sentence or d.findings[0].label.endswith("T_air)")
     assert "o effect is missing" not in d.sentence
-    done = improve(fitted(fit_degc), [today], draws=50)
     assert [s.labels for s in done.steps][:1] == [("axis_expansion(EXX, X, T_air)",)]
     assert done.model.effects[-1].values["k"] == pytest.approx(GLASS, abs=1.0)
     assert error_um(done.model, warm) < 0.5 * error_um(fitted(fit_degc), warm)

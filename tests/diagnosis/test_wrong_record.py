@@ -17,6 +17,7 @@ from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from tests.support.both import both
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 
 SCALE, PLAY = "scale,component=EXX,axis=X,k=60", "backlash,component=EXX,axis=X,B=3"
@@ -63,11 +64,10 @@ WRONG = {
 @pytest.mark.parametrize("kind", WRONG)
 def test_the_fault_is_named_and_nothing_is_fitted(kind: str) -> None:
     wrong, said = WRONG[kind]
-    d = diagnose(fitted(), [wrong], draws=50)
+    d, done = both(fitted(), [wrong], draws=50)
     assert [(x.kind, x.fatal) for x in d.doubts] == [(kind, True)]
     assert d.verdict == "undecided"
     assert said in d.sentence
-    done = improve(fitted(), [wrong], draws=50)
     assert done.reason == "undecided"
     assert done.model.hash == fitted().hash
     made = add(fitted(), [], [wrong])
@@ -116,10 +116,10 @@ def test_a_delay_that_the_model_lacks_on_the_readings_of_its_fit_is_no_clock() -
 def test_a_model_by_hand_is_asked_about_the_clock_as_well() -> None:
     by_hand = Model(small_machine(), effects(*KNOWN), name="by hand")
     early = late(day(KNOWN, 12), -1200.0)
-    d = diagnose(by_hand, [early], draws=50)
+    d, done = both(by_hand, [early], draws=50)
     assert [x.kind for x in d.doubts if x.fatal] == ["late_temperatures"]
     assert "with all temperatures moved 20 min later the model leaves" in d.sentence
-    assert not improve(by_hand, [early], draws=50).steps
+    assert not done.steps
 
 
 def test_a_part_before_its_sensor_may_be_the_clock() -> None:
