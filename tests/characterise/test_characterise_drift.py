@@ -5,7 +5,6 @@ one delay.
 """
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from tests.diagnosis import test_warm_start as warm
-
-pytestmark = pytest.mark.xdist_group("warm-start")
 
 
 def drift(seed: int, tau_z_s: float, tau_x_s: float) -> Measurement:
@@ -31,7 +28,6 @@ def drift(seed: int, tau_z_s: float, tau_x_s: float) -> Measurement:
     return replace(m, channels={**m.channels, "T_spindle": np.round(degc, 1)}, readings=readings)
 
 
-@cache
 def fitted(tau_z_s: float, tau_x_s: float, seed: int) -> Model:
     return characterise([drift(seed, tau_z_s, tau_x_s), drift(seed + 1, tau_z_s, tau_x_s)]).model
 

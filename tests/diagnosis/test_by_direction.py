@@ -15,8 +15,6 @@ from rtec.model import Model
 from tests.characterise.test_characterise_drift import drift
 from tests.diagnosis import test_warm_start as warm
 
-pytestmark = pytest.mark.xdist_group("warm-start")
-
 
 def empty() -> Model:
     return Model(warm.lathe(), (), name="empty")
