@@ -113,7 +113,7 @@ def test_improve_adds_each_and_no_other() -> None:
         )
 
 
-@pytest.mark.parametrize("seed", [63, 65])
+@pytest.mark.parametrize("seed", proof.few([63, 65], 1))
 def test_a_scale_and_an_expansion_are_no_surface_without_a_name(seed: int) -> None:
     """Oracle: what was put in; position times temperature and position make a surface over both."""
     known, k = "backlash,component=EXX,axis=X,B=3", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11,fixed_mm=100"
