@@ -104,7 +104,7 @@ def _zoom(page: "Page", chart: Any) -> dict[str, list[float]]:
     chart.locator(".modebar-btn.active[data-title=Zoom]").wait_for()
     chart.evaluate(TOLD)
     _drag(page, chart, (0.3, 0.4), (0.6, 0.6))
-    page.wait_for_function("/axis.(auto)?range/.test(window.told)")
+    page.wait_for_function("/axis.range/.test(window.told)")
     after: dict[str, list[float]] = chart.evaluate(ENDS)
     return after
 
