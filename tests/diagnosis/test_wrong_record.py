@@ -66,8 +66,8 @@ WRONG: dict[str, tuple[Callable[[], Measurement], str]] = {
 
 @pytest.mark.parametrize("kind", WRONG)
 def test_the_fault_is_named_and_nothing_is_fitted(kind: str) -> None:
-    made, said = WRONG[kind]
-    wrong = made()
+    record, said = WRONG[kind]
+    wrong = record()
     d, done = both(fitted(), [wrong], draws=50)
     assert [(x.kind, x.fatal) for x in d.doubts] == [(kind, True)]
     assert d.verdict == "undecided"
@@ -84,8 +84,8 @@ def test_a_refit_to_it_would_do_harm() -> None:
     unsure = replace(fitted(), effects=tuple(replace(f, errors={}) for f in fitted().effects))
     other = day(KNOWN, 14)
     assert rms(fitted(), other) < 1.2 * NOISE_UM
-    for wrong, _ in WRONG.values():
-        assert rms(add(unsure, [], [wrong()]).model, other) > 1.4 * NOISE_UM
+    for record, _ in WRONG.values():
+        assert rms(add(unsure, [], [record()]).model, other) > 1.4 * NOISE_UM
 
 
 @pytest.mark.parametrize("worn", [SCALE.replace("60", "75"), PLAY.replace("3", "7"), HEAT.replace("11", "15")])
