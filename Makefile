@@ -77,7 +77,7 @@ discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many a
 
 proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines; all seeds of the tests that have many
 	$(BIN)/python -m tests.ball_bar.ball_bar_proof
-	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n auto --dist loadgroup tests/diagnosis tests/characterise tests/ball_bar \
+	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n auto --dist loadgroup tests/diagnosis tests/characterise tests/estimation tests/ball_bar \
 	  tests/metrology/test_grid_encoder.py tests/real/test_real_fit.py tests/discovery/test_discovery.py \
 	  tests/sim/test_campaign.py tests/commission/test_wheel.py tests/daemon/test_ring.py tests/hil/test_kill.py
 

@@ -5,7 +5,6 @@ one delay.
 """
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -15,8 +14,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from tests.diagnosis import test_warm_start as warm
-
-pytestmark = pytest.mark.xdist_group("warm-start")
+from tests.support import proof
 
 
 def drift(seed: int, tau_z_s: float, tau_x_s: float) -> Measurement:
@@ -31,7 +29,6 @@ def drift(seed: int, tau_z_s: float, tau_x_s: float) -> Measurement:
     return replace(m, channels={**m.channels, "T_spindle": np.round(degc, 1)}, readings=readings)
 
 
-@cache
 def fitted(tau_z_s: float, tau_x_s: float, seed: int) -> Model:
     return characterise([drift(seed, tau_z_s, tau_x_s), drift(seed + 1, tau_z_s, tau_x_s)]).model
 
@@ -41,7 +38,7 @@ def growth(model: Model, component: str) -> list[FittedEffect]:
     return [f for f in model.effects if f.label == f"spindle_growth({component}, T_spindle)"]
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", proof.few([1, 5], 1))
 @pytest.mark.parametrize(("tau_z_s", "tau_x_s"), [(1800, 3600), (2700, 2700), (3400, 3400), (6800, 3400), (900, 5000)])
 def test_two_directions_with_delays_of_their_own_are_no_tilt(tau_z_s: float, tau_x_s: float, seed: int) -> None:
     """As it was, up to nine effects, of which -4 ± 20 and 4.2 ± 20.6 µm/K were two, predicted as well."""
@@ -56,7 +53,7 @@ def test_two_directions_with_delays_of_their_own_are_no_tilt(tau_z_s: float, tau
     assert unseen.residual == pytest.approx(warm.NOISE_UM, rel=0.1)
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", proof.few([1, 5], 1))
 def test_an_angle_that_moves_both_probes_stays_one(seed: int) -> None:
     """Arms of 100 mm: 10 µrad/K move X and Z by 1 µm/K, in opposite directions."""
     days = []

@@ -1,7 +1,10 @@
 """Help pages: of all commands at once. Oracle: a terminal of 80 columns, a shell, the declarations of the commands."""
 
+import contextlib
+import io
 import re
 import shlex
+from functools import cache
 
 import pytest
 from typer.main import get_command
@@ -10,17 +13,26 @@ from rtec.cli.help import continued, paragraphs
 from rtec.cli.main import application, status
 from tests.cli.test_examples import leaves
 
+pytestmark = pytest.mark.xdist_group("help")  # each page is rendered once
+
 COMMANDS = dict(leaves(get_command(application())))
 CODE_WORDS = re.compile(r"<\w|list\[|\brange\]|\b(bool|str|int|float)\b|x[<>]=|\w…")
 """What only a programmer would understand, and cells that were cut off."""
 
 
+@cache
+def rendered(command: tuple[str, ...]) -> str:
+    out = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+        patch.setenv("COLUMNS", "80")
+        assert status([*command, "--help"]) == 0
+    return out.getvalue()
+
+
 @pytest.fixture(params=list(COMMANDS), ids=" ".join)
-def page(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> str:
+def page(request: pytest.FixtureRequest) -> str:
     """The help page of each command on 80 columns."""
-    monkeypatch.setenv("COLUMNS", "80")
-    assert status([*request.param, "--help"]) == 0
-    return capsys.readouterr().out
+    return rendered(request.param)
 
 
 def test_a_page_fits_80_columns_and_has_no_words_of_the_code(page: str) -> None:

@@ -1,5 +1,16 @@
 """The makers' own printed examples of compensation tables, as far as they print the points."""
 
+import pytest
+
+from rtec.correction.tables import predict
+
+
+def look_at_few_places(monkeypatch: pytest.MonkeyPatch, per_step: int = 2) -> None:
+    """Have what a table leaves looked for at few places, where its size is not asked: a plane would take seconds."""
+    for name, few in (("PER_STEP", per_step), ("LEAST", 20), ("FEW", 3), ("MANY", 20)):
+        monkeypatch.setattr(predict, name, few)
+
+
 SINUMERIK = """%_N_AX_EEC_INI
 CHANDATA(1)
 $AA_ENC_COMP[0,0,X1]=0.003 ; 1st compensation value (interpolation point 0): +3µm

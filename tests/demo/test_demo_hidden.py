@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rtec.cli.main import status
 from rtec.correction.flags import MODE_OFF
 from rtec.demo import second_story as later_story
+from rtec.demo import training
 from rtec.demo.day import Plan
 from rtec.demo.hidden import FAULTS, Here, draw, with_fault, with_play
 from rtec.demo.live import corrected
@@ -38,9 +39,10 @@ def shipped() -> Model:
 
 @pytest.fixture(scope="module")
 def told() -> Later:
-    """One story with two parts."""
+    """One story with two parts; the probe visits two stations of three."""
     with pytest.MonkeyPatch.context() as m:
         m.setattr(later_story, "LATER_PLAN", SHORT)
+        m.setattr(training, "SHORT", replace(training.SHORT, z_step_mm=37.3, x_step_mm=17.9))
         return tell_later(shipped(), CONFIGS / TRUTH_FILE, 7, "gear", 1, lambda *_: None)
 
 

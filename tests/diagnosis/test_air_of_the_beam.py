@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.heat import beam_in_air
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.outliers import clean
@@ -20,6 +19,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
+from tests.support.both import both
 from tests.support.machines import axis
 
 NOISE_UM, DEAD_MM, INDEX_UM_PER_M_DEGC = 0.15, 450.0, -0.93
@@ -67,9 +67,8 @@ def day(seed: int, warm_degc: float, air_degc: float, exchanged: bool = False) -
 @pytest.mark.parametrize("seed", proof.few([1, 2, 3], 1))
 def test_the_air_is_named_and_no_exchange_of_sensors(seed: int) -> None:
     today, other = day(seed, 1.5, 3.0), day(seed + 50, 3.0, -2.5)
-    d = diagnose(model(), [today], draws=50)
+    d, done = both(model(), [today], draws=50)
     assert "swapped_sensors" not in [x.kind for x in d.doubts]
-    done = improve(model(), [today], draws=50)
     assert "mount_expansion(EXX, T_air)" in [label for step in done.steps for label in step.labels]
     assert compare(done.model, [other]).judged.residual < 1.2 * NOISE_UM
 

@@ -7,12 +7,11 @@ import pytest
 import rtec
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.extend.improve import improve
-from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.diagnosis import diagnosis_page
 from rtec.sim.campaign.truth import effect_from_text
+from tests.support.both import both
 from tests.support.setups import CONFIGS
 
 MADE = (
@@ -53,9 +52,9 @@ def test_a_bar_that_warms_up_is_no_scale_of_the_machine() -> None:
     (doubt,) = found
     assert doubt.message.startswith("The circles differ in size by up to 3.")
     assert 'zero = "run"' in doubt.next_step
-    page = diagnosis_page(diagnose(model, files, draws=50))
+    d, result = both(model, files, draws=50)
+    page = diagnosis_page(d)
     assert "rivals.png" not in [s.figure.name for s in page.sections if s.figure]  # no candidate has a bar in it
-    result = improve(model, files, draws=50)
     assert (result.model.hash, result.reason) == (model.hash, "undecided")
 
 

@@ -20,6 +20,8 @@ MILL = CONFIGS / "machines" / "vertical-mill.toml"
 SCALE, BACKLASH = "scale,component=EXX,axis=X,k=60", "backlash,component=EYY,axis=Y,B=6"
 ORDERS = (("ccw", "cw"), ("cw", "ccw"))
 
+pytestmark = pytest.mark.xdist_group("beside")
+
 
 def circle(direction: str) -> Measurement:
     setup = {"plane": "XY", "centre_mm": [250.0, 200.0, 100.0], "radius_mm": 150.0, "direction": direction,

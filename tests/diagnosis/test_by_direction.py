@@ -14,15 +14,14 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.characterise.test_characterise_drift import drift
 from tests.diagnosis import test_warm_start as warm
-
-pytestmark = pytest.mark.xdist_group("warm-start")
+from tests.support import proof
 
 
 def empty() -> Model:
     return Model(warm.lathe(), (), name="empty")
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", proof.few([1, 5], 1))
 @pytest.mark.parametrize(("tau_z_s", "tau_x_s"), [(1800, 3600), (2700, 2700), (6800, 3400), (900, 5000)])
 def test_growth_in_two_directions_is_improved_to_the_truth(tau_z_s: float, tau_x_s: float, seed: int) -> None:
     """As it was: a tilt and two growths of opposite signs; or, after the tilt, "undecided" at five times the noise."""
@@ -51,7 +50,7 @@ def tilted(seed: int, grows: float = 0.0) -> Measurement:
     return replace(m, readings={n: arms[i] * turned + z[i] + noise[i] for i, n in enumerate(names)})
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", proof.few([1, 5], 1))
 @pytest.mark.parametrize("grows", [0.0, -0.5])
 def test_a_tilt_with_one_delay_stays_a_tilt(seed: int, grows: float) -> None:
     model = improve(empty(), [tilted(seed, grows), tilted(seed + 1, grows)], ask=None, draws=50).model

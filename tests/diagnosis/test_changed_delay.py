@@ -6,11 +6,11 @@ Oracle: bodies that lag by another time, integrated in steps of a second.
 import pytest
 
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.given import given_to
 from rtec.metrology.measurement import Measurement
 from tests.diagnosis import test_warm_start as warm
+from tests.support.both import both
 
 pytestmark = pytest.mark.xdist_group("warm-start")
 
@@ -36,10 +36,9 @@ def test_another_delay_is_refitted_and_no_effect_is_named(
     found = given_to(model, today).delays
     assert sorted(found) == changed
     assert found == pytest.approx({i: (tau_x_s, tau_z_s)[i] for i in changed}, rel=0.05)
-    answer = diagnose(model, today, draws=50, explain=True)
+    answer, better = both(model, today, changes=True, ask=None, draws=50)
     assert answer.verdict == "nothing_missing"
     assert [c.name for c in answer.changed] == ["tau"] * len(changed)
-    better = improve(model, today, ask=None, draws=50)
     assert [f.effect for f in better.model.effects] == [f.effect for f in model.effects]
     assert [f.theta["tau"] for f in better.model.effects] == pytest.approx([tau_x_s, tau_z_s], rel=0.05)
     assert compare(better.model, today).judged.residual == pytest.approx(warm.NOISE_UM, rel=0.1)

@@ -12,7 +12,6 @@ import pytest
 
 import rtec
 from rtec.cli.main import status
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.joint import changed_numbers
 from rtec.estimation.outliers import clean
@@ -22,6 +21,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
+from tests.support.both import both
 from tests.support.diagnosis_examples import effects, laser, small_machine, write_laser, write_machine
 
 KNOWN = ("scale,component=EXX,axis=X,k=8", "backlash,component=EXX,axis=X,B=2",
@@ -41,7 +41,7 @@ def today(seed: int, truth: tuple[str, ...]) -> Measurement:
 
 @pytest.mark.parametrize("seed", proof.few([1, 2, 3], 2))
 def test_the_worn_nut_is_named_and_nothing_else(seed: int) -> None:
-    d = diagnose(known(), [today(seed, WORN)], draws=50, explain=True)
+    d, done = both(known(), [today(seed, WORN)], changes=True, draws=50)
     (one,) = d.changed
     assert (one.effect, one.name, one.was) == ("backlash(EXX, X)", "B", 2.0)
     assert one.now == pytest.approx(6.0, abs=0.3)
@@ -49,7 +49,6 @@ def test_the_worn_nut_is_named_and_nothing_else(seed: int) -> None:
     assert d.facts()["changed"] == [vars(one)]
     assert d.sentence.count(" B from ") == d.sentence.count("o effect is missing") == 1, d.sentence
     assert "may have changed since" not in d.sentence
-    done = improve(known(), [today(seed, WORN)], draws=50)
     assert done.model.effects[2].values["k"] == pytest.approx(6.0, abs=0.5)
     assert not done.steps
 
@@ -161,13 +160,12 @@ def test_an_instrument_that_warms_up_hides_no_reversal() -> None:
     t = m.time_s - m.time_s[0]
     warming = 3.0 * (1.0 - np.exp(-t / (0.3 * t[-1])))
     m = replace(m, readings={"reading_um": m.readings["reading_um"] + warming})
-    d = diagnose(known(), [m], draws=50, explain=True)
+    d, done = both(known(), [m], changes=True, draws=50)
     (doubt,) = [b for b in d.doubts if b.fatal]
     assert doubt.changes_slowly
     (one,) = d.changed
     assert one.effect == "backlash(EXX, X)"
     assert one.now == pytest.approx(6.0, abs=0.3)
-    done = improve(known(), [m], draws=50)
     assert not done.steps
     assert done.model.effects[1].values["B"] == pytest.approx(6.0, abs=0.3)
     assert done.model.effects[0].values["k"] == pytest.approx(8.0, abs=1.0)

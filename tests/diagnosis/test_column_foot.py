@@ -2,14 +2,13 @@
 
 import pytest
 
-from rtec.diagnosis.extend.improve import improve
-from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
 from tests.discovery.generator.cases import Case
 from tests.discovery.generator.dataset import build, model_error
 from tests.discovery.translate import base_model, measurement_of, said_by
 from tests.support import proof
+from tests.support.both import both
 
 
 @pytest.mark.parametrize(("seed", "noise"), proof.few([(96010, "heavy"), (96127, "daily")], 1))
@@ -17,10 +16,9 @@ def test_readings_in_three_directions_show_that_the_column_turns_about_its_foot(
     hidden = build(Case("singles", seed, "tool_tip", noise, ("column_tilt",)))
     m = measurement_of(hidden)
     known = base_model(hidden, m)
-    d = diagnose(known, [m], draws=50)
+    d, done = both(known, [m], draws=50)
     assert d.verdict == "missing_effect"
     assert d.findings[0].label == "column_tilt(EA0column, T_front, T_back)"
-    done = improve(known, [m], draws=50)
     assert model_error(hidden, said_by(done.model, m)) < 0.2 * model_error(hidden, said_by(known, m))
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from rtec.cli.common import interruptible, kept
 from rtec.cli.main import status
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add, new_effect, refused
-from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.extend.improve import Improved, improve
 from rtec.diagnosis.extend.parameter_scan import scan_ranges
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import effect_class
@@ -30,6 +31,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model, save_model
 from rtec.model.history import rescaled, steps_of
 from rtec.report.history import improved_page
+from tests.support.both import both
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
 
 Floats = NDArray[np.float64]
@@ -41,6 +43,11 @@ WAVE = "cyclic_pole,component=EXX,axis=X,s=2,c=-1,period=5"
 
 def model_of(*texts: str) -> Model:
     return Model(small_machine(), effects(*texts), name="test")
+
+
+@cache
+def improved(has: tuple[str, ...], truth: tuple[str, ...]) -> Improved:
+    return improve(model_of(*has), [laser(truth, 3)])
 
 
 def test_improve_fits_numbers_that_are_out_of_date_anew() -> None:
@@ -67,18 +74,19 @@ def test_a_drift_of_three_runs_makes_no_number_out_of_date() -> None:
     readings = {"reading_um": (whole.readings["reading_um"] + sloped)[few]}
     channels = {k: v[few] for k, v in whole.channels.items()}
     m = dataclasses.replace(whole, run=whole.run[few], time_s=whole.time_s[few], channels=channels, readings=readings)
-    found = diagnose(model_of(*own), [m], draws=50)
+    found, done = both(model_of(*own), [m], draws=50)
     assert found.verdict == "nothing_missing"
     assert found.judged is not None
     assert found.judged.refitted < 0.8 * found.rms_residual < found.judged.held_out
     assert not found.out_of_date
     assert "out of date" not in found.sentence
-    assert improve(model_of(*own), [m]).refit is None
+    assert done.refit is None
 
 
+@pytest.mark.xdist_group("usable")
 def test_improve_leaves_good_numbers_alone() -> None:
     """Oracle: nothing changed since the model was made."""
-    result = improve(model_of(SCALE, OLD), [laser([SCALE, OLD], 3)])
+    result = improved((SCALE, OLD), (SCALE, OLD))
     assert result.refit is None
     assert result.model.history == ()
 
@@ -194,9 +202,10 @@ def test_history_says_other_measurements_only_where_they_are() -> None:
         assert steps_of(model)[1]["other_data"] == other
 
 
+@pytest.mark.xdist_group("usable")
 def test_what_was_passed_over_is_told() -> None:
     """Oracle: along one line of light, play and a turn of the slide at each reversal look alike."""
-    result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
+    result = improved((SCALE,), (SCALE, NEW))
     first = result.steps[0]
     rivals = [r.label for r in first.passed_over]
     assert any("angular_reversal" in label for label in rivals)
@@ -209,9 +218,10 @@ def test_what_was_passed_over_is_told() -> None:
     assert all(any(r in line for line in brief.text) for r in rivals[:3])
 
 
+@pytest.mark.xdist_group("usable")
 def test_an_end_far_above_the_noise_is_not_called_the_end_of_what_is_missing() -> None:
     """Oracle: held-out runs that are met to three times the noise, or to the noise."""
-    result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
+    result = improved((SCALE,), (SCALE, NEW))
     (*before, last) = result.steps
 
     def ended(times: float) -> str:
@@ -222,8 +232,9 @@ def test_an_end_far_above_the_noise_is_not_called_the_end_of_what_is_missing() -
     assert "no effect is missing that these readings could show" in ended(1.5)
 
 
+@pytest.mark.xdist_group("usable")
 def test_improve_does_not_advise_improve() -> None:
-    result = improve(model_of(SCALE, OLD), [laser([SCALE, OLD], 3)])
+    result = improved((SCALE, OLD), (SCALE, OLD))
     said = replace(result.diagnoses[-1], sentence="The numbers are out of date (`rtec improve` refits them).")
     page = improved_page(replace(result, steps=(), diagnoses=(said,), reason="nothing_missing"), figures=False)
     assert page.lead.endswith("The numbers are out of date.")

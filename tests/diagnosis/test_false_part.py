@@ -5,7 +5,6 @@ import pytest
 
 from rtec.diagnosis.extend import improve as module
 from rtec.diagnosis.extend.add import add
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.outliers import clean
 from rtec.machine import machine_from
@@ -13,6 +12,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign.truth import effect_from_text
+from tests.support.both import both
 from tests.support.machines import axis
 
 NOISE_UM = 1.5
@@ -58,12 +58,11 @@ def known() -> Model:
 def test_no_angle_is_named_for_what_the_direction_of_another_axis_does() -> None:
     """The rest beside an angle needs both variables still."""
     m = grid(1, chain=12.0, yaw=0.0)
-    d = diagnose(known(), [m], draws=50)
+    d, done = both(known(), [m], draws=50)
     assert d.verdict == "unknown_effect"
     assert d.unknown is not None
     assert set(d.unknown.channels) == {"x", "d_y"}
     assert not d.together
-    done = improve(known(), [m], draws=50)
     assert [f.effect.effect for f in done.model.effects] == ["scale", "expression"], "its shape, and no angle"
     assert done.steps[0].after.held_out < 1.1 * NOISE_UM
 

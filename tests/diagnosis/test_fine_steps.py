@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.extend.improve import improve
-from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from tests.support.both import both
 from tests.support.machines import axis
 
 MACHINE = machine_from(
@@ -68,10 +67,9 @@ def test_what_fine_steps_over_a_short_way_show_is_named(
 ) -> None:
     m = fine(along, step_mm, wave_um, period_mm, backlash_um, noise_um)
     empty = Model(MACHINE, (), name="empty")
-    found = diagnose(empty, [m], draws=50)
+    found, done = both(empty, [m], draws=50)
     assert found.verdict in ("missing_effect", "ambiguous")
     assert found.findings[0].effect.label == name
-    done = improve(empty, [m], draws=50)
     floor = compare(done.model, [m]).items[0]
     assert floor.left.rms < 1.1 * noise_um
     assert floor.floor == pytest.approx(noise_um, rel=0.1)
@@ -81,8 +79,7 @@ def test_a_wave_of_the_scale_is_named_from_fine_steps_at_three_places() -> None:
     # the places are no whole number of periods apart; all targets of one place lie within the pitch of the scale or two
     m = fine("X", 0.002, 0.2, 0.02, 0.0, 0.05, spots_mm=(-25.0, 0.0133, 21.0071))
     empty = Model(MACHINE, (), name="empty")
-    found = diagnose(empty, [m], draws=50)
+    found, done = both(empty, [m], draws=50)
     assert found.verdict in ("missing_effect", "ambiguous")
     assert "interpolation_error(EXX, X)" in [f.effect.label for f in found.findings if f.group]
-    done = improve(empty, [m], draws=50)
     assert compare(done.model, [m]).items[0].left.rms < 1.1 * 0.05

@@ -52,7 +52,7 @@ def test_a_sensor_that_stands_for_another_is_said_to() -> None:
     assert doubt.message.startswith("axis_expansion follows T_bed; no sensor on the screw, nut or scale of X")
 
 
-@pytest.mark.parametrize("seed", [60002, 60011])
+@pytest.mark.parametrize("seed", proof.few([60002, 60011], 1))
 def test_a_shape_beside_heat_that_nothing_recorded_is_no_whole_answer(seed: int) -> None:
     """A screw grows, its nut has no sensor, and a curve along the axis explains a part. Oracle: what was put in."""
     d = answer("unrecorded", "nut_unseen", seed)
@@ -85,7 +85,7 @@ def test_what_follows_the_direction_is_no_heat(tmp_path: Path) -> None:
     assert d.findings[0].accepted
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", proof.few([1, 2], 1))
 def test_a_curve_at_equal_targets_may_be_a_wave(seed: int) -> None:
     """Oracle: the wave that was put in is among the periods that are told."""
     d = answer("aliases", "alias", seed)
@@ -277,7 +277,7 @@ def probe(seed: int, wander_um: float) -> Measurement:
     return Measurement("probe", made, machine, np.ones(n, dtype=np.int64), time_s, channels, {"reading_x_um": reading})
 
 
-@pytest.mark.parametrize("seed", [2, 4, 6, 8])
+@pytest.mark.parametrize("seed", proof.few([2, 4, 6, 8], 1))
 def test_a_body_without_a_sensor_is_not_called_nothing(seed: int) -> None:
     """It moves by many times the noise. Oracle: what was put in."""
     d = diagnose(Model(small_machine(), ()), [probe(seed, 2.5)], draws=50)
@@ -287,7 +287,7 @@ def test_a_body_without_a_sensor_is_not_called_nothing(seed: int) -> None:
     assert d.sentence.endswith("In addition to T_bed, T_air, record temperatures of spindle, column.")
 
 
-@pytest.mark.parametrize("seed", [2, 4, 6, 8])
+@pytest.mark.parametrize("seed", proof.few([2, 4, 6, 8], 2))
 def test_an_instrument_that_drifts_by_no_more_than_twice_its_noise_is_no_alarm(seed: int) -> None:
     d = diagnose(Model(small_machine(), ()), [probe(seed, 0.4)], draws=50)
     assert d.verdict == "nothing_missing"

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from rtec.characterise import characterise
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support import proof
+from tests.support.both import both
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 
 Floats = NDArray[np.float64]
@@ -53,16 +53,15 @@ def asked(model: Model, m: Measurement) -> list[tuple[str, bool]]:
 
 def stops(model: Model, m: Measurement) -> str:
     """The answer, after nothing was named and nothing written."""
-    d = diagnose(model, [m], draws=50, explain=True)
+    d, done = both(model, [m], changes=True, draws=50)
     assert d.verdict == "undecided"
     assert not any(f.accepted for f in d.findings)
-    done = improve(model, [m], draws=50)
     assert done.reason == "undecided"
     assert done.model.hash == model.hash
     return d.sentence
 
 
-@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("seed", proof.few([11, 12], 1))
 def test_a_file_of_the_machine_as_it_was_is_not_asked_about(seed: int) -> None:
     for heat in (HEAT, LATE):
         assert not asked(fitted(heat), day(seed, heat))
@@ -236,7 +235,7 @@ def saw(m: Measurement, period_s: float = 1700.0) -> Floats:
     return np.asarray(55.0 + 6.0 * (m.time_s / period_s % 1.0))
 
 
-@pytest.mark.parametrize("seed", [71, 72])
+@pytest.mark.parametrize("seed", proof.few([71, 72], 1))
 def test_readings_that_follow_a_column_that_nothing_reads(seed: int) -> None:
     m = day(seed)
     bar = saw(m)
@@ -244,7 +243,7 @@ def test_readings_that_follow_a_column_that_nothing_reads(seed: int) -> None:
     assert said.startswith("The residual follows pressure_bar (55 to 61), which rtec does not read: ")
 
 
-@pytest.mark.parametrize("seed", [73, 74])
+@pytest.mark.parametrize("seed", proof.few([73, 74], 1))
 def test_a_slope_that_follows_a_column_that_nothing_reads(seed: int) -> None:
     """A wavelength that follows the humidity: the error is the distance times a number of each run."""
     m, rng = day(seed), np.random.default_rng(seed)

@@ -6,6 +6,7 @@ Oracle: least squares by hand on the readings, with what was put in.
 import functools
 
 import numpy as np
+import pytest
 
 from rtec.diagnosis.result import Diagnosis, Picture
 from rtec.diagnosis.search.diagnose import diagnose
@@ -15,6 +16,8 @@ from tests.support.diagnosis_examples import laser, small_machine
 
 CLEARANCE = "backlash,component=EXX,axis=X,B=4"
 TILT = "angular_motion,component=EBX,axis=X,c2=30,c3=0"
+
+pytestmark = pytest.mark.xdist_group("picture")
 
 
 @functools.cache

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from rtec.diagnosis.extend.improve import improve
-from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import Machine, load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support import proof
+from tests.support.both import both
 
 MACHINE = """
 [machine]
@@ -76,11 +75,10 @@ def plate(machine: Machine, seed: int) -> Measurement:
 def test_four_causes_have_names_and_nothing_stays_without(machine: Machine, seed: int) -> None:
     """Each is one of the catalogue; a yaw called a surface over X and Y knows nothing of the arm of another tool."""
     model, m = Model(machine, (), name="bare"), plate(machine, seed)
-    found = diagnose(model, [m])
+    found, better = both(model, [m])
     assert found.unknown is None, found.sentence
     names = {f.label.split(",")[0] for f in found.together}
     assert {"scale(EXX", "squareness(EC0X)", "straightness(EYX"} <= names, found.sentence
     assert names & {"angular_motion(ECX", "guide_curvature(ECX"}, found.sentence
-    better = improve(model, [m])
     assert not [f.label for f in better.model.effects if f.label.startswith("expression")]
     assert better.steps[-1].after.held_out < 1.4 * NOISE_UM

@@ -11,12 +11,14 @@ import rtec
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add, new_effect
 from rtec.diagnosis.extend.improve import Improved, improve
+from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.history import improved_page
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
+from tests.support.both import both
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
 from tests.support.setups import CONFIGS
 
@@ -50,12 +52,17 @@ def after_a_jump() -> tuple[Improved, float]:
     return improve(known(), [m], draws=50), at
 
 
-def test_a_zero_that_moved_is_not_written_into_the_model() -> None:
+@cache
+def moved() -> tuple[Diagnosis, Improved, float]:
     m, at = jumped(laser(KNOWN, 11))
-    d = diagnose(known(), [m], draws=50)
+    return *both(known(), [m], draws=50), at
+
+
+@pytest.mark.xdist_group("moved")
+def test_a_zero_that_moved_is_not_written_into_the_model() -> None:
+    d, done, at = moved()
     assert d.findings[0].effect.effect == "missed_counts"
     assert d.sentence.endswith("; a display that was zeroed again, or a set-up that was touched, makes the same jump")
-    done = improve(known(), [m], draws=50)
     assert not done.steps
     assert done.model.hash == known().hash
     assert done.reason == "nothing_missing"
@@ -77,6 +84,7 @@ def test_a_level_that_was_touched_is_no_heat_of_the_spindle() -> None:
     assert event.time_s == pytest.approx(at, abs=60.0)
 
 
+@pytest.mark.xdist_group("after-a-jump")
 def test_the_other_effects_are_found_beside_it_and_another_day_is_predicted() -> None:
     done, at = after_a_jump()
     assert [s.labels for s in done.steps] == [("cyclic_screw(EXX, X)",)]
@@ -118,6 +126,7 @@ def test_what_wears_while_it_is_measured_leaves_the_numbers_at_its_mean() -> Non
     assert rms(done.model, m) <= 1.01 * rms(fair, m)
 
 
+@pytest.mark.xdist_group("after-a-jump")
 def test_it_is_reported_with_the_time_and_what_to_do() -> None:
     done, _ = after_a_jump()
     lead = improved_page(done, figures=False).lead
@@ -127,9 +136,10 @@ def test_it_is_reported_with_the_time_and_what_to_do() -> None:
     assert done.facts()["events"][0]["measurement"] == "laser-x-21"
 
 
+@pytest.mark.xdist_group("moved")
 def test_the_jump_comes_first_and_nothing_else_is_said_to_be_missing() -> None:
     """`diagnose` names it on the same file."""
-    lead = improved_page(improve(known(), [jumped(laser(KNOWN, 11))[0]], draws=50), figures=False).lead
+    lead = improved_page(moved()[1], figures=False).lead
     assert re.match(r"laser-x-11: at \d+ s, between run 9 and run 10, the readings jump by \+[89]\.\d µm", lead)
     assert "No effect was added. Beside that no effect is missing that these readings could show (half " in lead
     assert lead.count("missing") == 1

@@ -21,10 +21,11 @@ from rtec.model.kernel import build as elementary
 from tests.support.compiled_model import CompiledModel, compile_model
 from tests.support.effect_example import MACHINE, Example, states
 from tests.support.effect_examples import EXAMPLES, everything
+from tests.support.laws import law_for
 
 Floats = NDArray[np.float64]
 UNIT = re.compile(r"(um|urad)(_per_(m|mm|degc|m_degc|krpm_to_p|krpm2|krpm|h|100kg|kn)|_s_per_mm|_s2_per_m)?")
-each = pytest.mark.parametrize("example", EXAMPLES, ids=str)
+each = law_for(EXAMPLES)
 
 
 @pytest.fixture(autouse=True)

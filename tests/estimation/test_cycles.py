@@ -11,6 +11,7 @@ from rtec.estimation.readings import read
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from tests.support import proof
 from tests.support.diagnosis_examples import small_machine
 
 Floats = NDArray[np.float64]
@@ -38,7 +39,7 @@ def probe(read_um: Floats, chiller: Floats | None = None, seed: int = 1) -> Meas
     return Measurement("probe", made, machine, run, time_s, channels, {"reading_z_um": read_um})
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", proof.few(range(4), 1))
 def test_a_switch_that_nothing_recorded_is_found(seed: int) -> None:
     rng = np.random.default_rng(seed)
     swing = 2.0 * switch(rng)
@@ -49,7 +50,7 @@ def test_a_switch_that_nothing_recorded_is_found(seed: int) -> None:
     assert 1.2 < found.swing < 2.6
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", proof.few(range(25), 5))
 def test_noise_and_drift_swing_with_no_period(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
     for values in (
@@ -69,7 +70,7 @@ def test_what_a_recorded_temperature_does_as_well_is_no_riddle() -> None:
     assert cycles(readings, readings.values, np.array([0.5])) == []
 
 
-@pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.parametrize("seed", proof.few([5, 6], 1))
 def test_a_diagnosis_asks_what_switches(seed: int) -> None:
     """It had been "no effect is missing", with the swing as a part of noise and drift."""
     rng = np.random.default_rng(seed)

@@ -12,7 +12,6 @@ import pytest
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.plan.plan import SURE, separation
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import load_machine
@@ -24,6 +23,7 @@ from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
 from rtec.sim.campaign.truth import effect_from_text
 from tests.characterise.joint_proof import Truth, bar, laser, plate
+from tests.support.both import both
 from tests.support.frame_thermal import COMPONENT, recorded
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -113,16 +113,15 @@ def test_every_command_gives_the_same_numbers(name: str) -> None:
     assert fit["rms_held_out"] == fit["judged"]["rms_held_out"]
     compared = compare(model, measured)
     assert judged(compared.facts()["together"]) == one
-    d = diagnose(model, measured, draws=20)
+    d, better = both(model, measured, draws=20) if name in IMPROVED else (diagnose(model, measured, draws=20), None)
     assert judged(d.facts()["judged"]) == one
     assert (d.rms_residual, d.noise_floor) == (fit["rms_inside"], compared.judged.noise_floor)
     again = add(model, [], measured)
     assert again.before.as_given == pytest.approx(fit["rms_inside"], rel=1e-12)
     after = judged(compare(again.model, measured).facts()["together"])
     assert (again.after.inside, again.floor, again.after.held_out) == (after[1], after[2], after[4])
-    if name not in IMPROVED:
+    if better is None:
         return
-    better = improve(model, measured, draws=20)
     last = [*([better.refit] if better.refit else []), *better.steps]
     if last:
         end = judged(compare(better.model, measured).facts()["together"])

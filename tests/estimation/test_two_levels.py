@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.extend.improve import improve
-from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.estimation.two_levels import TwoLevels, two_levels
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from tests.support.both import both
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 TRUTH = ["scale,component=EXX,axis=X,k=30", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=9"]
@@ -40,12 +39,12 @@ def test_what_nobody_noted_is_no_effect_of_the_machine(by: float) -> None:
     assert levels.gap == pytest.approx(abs(by), abs=0.2)
     raised_runs = {k for k, high in enumerate(levels.high, 1) if high}
     assert raised_runs == (set(HIGH) if by > 0.0 else set(range(1, 19)) - set(HIGH))
-    d = diagnose(MODEL, [m], draws=50)
+    d, done = both(MODEL, [m], draws=50)
     assert d.verdict == "undecided"
     assert d.sentence.startswith("laser-x-3 reading_um: the runs are at two levels")
     assert not d.findings or not d.findings[0].accepted
     assert [b.kind for b in compare(MODEL, [m]).doubts] == ["two_levels"]
-    assert improve(MODEL, [m]).model.effects == MODEL.effects
+    assert done.model.effects == MODEL.effects
 
 
 def test_the_runs_are_named_by_their_numbers_in_the_file() -> None:

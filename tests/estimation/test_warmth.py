@@ -6,7 +6,6 @@ import pytest
 
 from rtec.characterise import characterise
 from rtec.diagnosis.extend.add import add, asked_effect
-from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
 from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
@@ -14,6 +13,8 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.report.history import _refit_words, improved_page
 from tests.diagnosis import test_stretched as bar
+from tests.support import proof
+from tests.support.both import both
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 SCALE = "scale,component=EXX,axis=X,k=12"
@@ -31,15 +32,15 @@ def first() -> Model:
     return characterise([day([SCALE, GROWTH], 1, 20.0)], wanted=wanted).model
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", proof.few([2, 3], 1))
 def test_the_warmer_day_is_said_with_the_expansion_that_would_do_it(seed: int) -> None:
     warm = day([SCALE, GROWTH], seed, 23.0)
-    (changed,) = diagnose(first(), [warm], draws=50, explain=True).changed
+    d, done = both(first(), [warm], changes=True, draws=50)
+    (changed,) = d.changed
     assert changed.warmer is not None
     assert changed.warmer.sensor == "T_bed"
     assert changed.warmer.by_k == pytest.approx(3.0, abs=0.3)
     assert changed.warmer.growth == pytest.approx(10.0, abs=1.0)
-    done = improve(first(), [warm], draws=50)
     assert "K warmer than in the fit: an expansion of " in improved_page(done, figures=False).lead
     assert "recorded_degc" in done.model.history[-1]
 

@@ -17,7 +17,7 @@ from rtec.correction.flags import MODE_HOLD, MODE_ON
 from tests.hil.test_run import faulty_run, only_log
 from tests.support import faulty, proof, setups
 
-KILLS = proof.of(200, 80)
+KILLS = proof.of(200, 40)
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 

@@ -57,7 +57,7 @@ def plates(heights_mm: tuple[float, ...], effects: tuple[str, ...] = (*RIGID, *B
     at += [("XY", [x, 0.0, z]) for z in heights_mm for x in (-400.0, 0.0, 400.0)]
     at += [("XZ", [x, 0.0, 0.0]) for x in (-400.0, 0.0, 400.0)]
     feeds = (500.0, 6000.0)
-    return [measured(bridge(), p, o, effects, seed=i, step_mm=8.0, feeds_mm_min=feeds) for i, (p, o) in enumerate(at)]
+    return [measured(bridge(), p, o, effects, seed=i, step_mm=16.0, feeds_mm_min=feeds) for i, (p, o) in enumerate(at)]
 
 
 @functools.cache

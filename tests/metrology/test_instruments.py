@@ -19,10 +19,11 @@ from rtec.metrology.instruments.laser import LaserDiagonal
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.metrology.measurement import Measurement
 from tests.support.instrument_examples import EXAMPLES, Example, frames
+from tests.support.laws import law_for
 from tests.support.machines import bridge, turning_centre, vertical_mill
 
 Floats = NDArray[np.float64]
-every_example = pytest.mark.parametrize("example", EXAMPLES, ids=str)
+every_example = law_for(EXAMPLES)
 SIZE = 20.0  # µm and µrad; second order: (20 µrad)² times a metre 0.4 nm, (20 µm)² over a radius 3 nm
 
 
@@ -114,7 +115,7 @@ def test_batch_is_singles_and_components_are_columns(example: Example) -> None:
         np.testing.assert_allclose(Instrument.arms_of(instrument, machine, pose, component), arms[:, :, k], rtol=1e-12)
 
 
-@pytest.mark.parametrize("example", [e for e in EXAMPLES if e.name in ("laser_linear", "straightness")], ids=str)
+@law_for([e for e in EXAMPLES if e.name in ("laser_linear", "straightness")])
 def test_point_readings_are_rows_of_the_chain(example: Example) -> None:
     """Oracle: `Chain.jacobian` with the point beside the tool tip, for instruments that read one point."""
     machine, setup = example.machine(), dict(example.setup)

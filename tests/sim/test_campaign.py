@@ -44,7 +44,7 @@ TRUE = (
 )
 MIDDLE = [250.0, 200.0, 200.0]
 XY = [[90.0, 90.0, 200.0], [250.0, 200.0, 200.0], [410.0, 310.0, 200.0]]
-XZ = [[x, y, 200.0] for x in (90.0, 250.0, 410.0) for y in (90.0, 200.0, 310.0)]
+XZ = [[x, y, 200.0] for x in (90.0, 410.0) for y in (90.0, 310.0)]
 YZ = [[250.0, y, 200.0] for y in (90.0, 200.0, 310.0)]
 AT = {"X": [60.0, 260.0, 430.0], "Y": [50.0, 190.0, 350.0], "Z": [70.0, 330.0]}
 
@@ -82,7 +82,7 @@ def ball_bars() -> list[Measurement]:
 def plates() -> list[Measurement]:
     tests = [("XY", o) for o in XY] + [("XZ", o) for o in XZ] + [("YZ", o) for o in YZ]
     return [
-        taken("grid_encoder", f"plate {p} {o}", 30 + i, {"plane": p, "origin_mm": o}, cycles=1, path={"step_mm": 16.0})
+        taken("grid_encoder", f"plate {p} {o}", 30 + i, {"plane": p, "origin_mm": o}, cycles=1, path={"step_mm": 24.0})
         for i, (p, o) in enumerate(tests)
     ]
 

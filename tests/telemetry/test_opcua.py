@@ -310,7 +310,8 @@ def test_who_does_not_read_is_cut_off(keys: Path, monkeypatch: pytest.MonkeyPatc
         server.close()
         for writer in (*accepted, *(writer for _, writer in peers)):
             writer.transport.abort()
-        await asyncio.sleep(0.05)
+        ended = (writer.wait_closed() for writer in (*accepted, *(writer for _, writer in peers)))
+        await asyncio.gather(*ended, return_exceptions=True)
 
     asyncio.run(run())
     assert len(said) == 1

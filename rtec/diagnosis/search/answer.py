@@ -578,11 +578,7 @@ class _Answer:
         fatal = [d.words for d in draft.doubts if d.fatal]
         asks = draft.named_drop < MOSTLY_NAMED  # a named effect answers the question whose file it is
         foreign = [d.words for d in draft.doubts if d.kind == "other_machine"] if asks else []
-        foreign += [
-            d.words
-            for d in draft.doubts
-            if d.kind in BESIDE_A_NAME and not d.fatal
-        ]
+        foreign += [d.words for d in draft.doubts if d.kind in BESIDE_A_NAME and not d.fatal]
         return words.with_sentence(draft, smallest, fatal, foreign)
 
     def _member(self, t: Refitted) -> Member:

@@ -40,7 +40,7 @@ def test_names_and_cells_are_shown_as_text(browser: "Browser", studio: RunningSt
     page.get_by_role("option", name="{{ 7*7 }}.toml").wait_for()
     page.get_by_role("option", name="turning-centre.toml").click()
     page.locator("header", has_text="turning-centre.toml").wait_for()
-    page.wait_for_timeout(500)
+    page.locator(".q-menu").wait_for(state="detached")
     page.get_by_role("button", name=f"Import {ATTACK}.csv").click()
     page.get_by_role("cell", name="<b>Abweichung</b> [um]").first.wait_for()
     assert page.locator("img").count() == 0

@@ -168,23 +168,16 @@ def test_a_brush_marks_in_every_plot_and_stays(page: "Page", compared: "Comparis
     page.wait_for_function(f"(marked) => ({MARKED})(0).join() === marked.join()", arg=marked)
 
 
-def test_many_readings_are_drawn_as_fine_as_the_screen(browser: "Browser", tmp_path: Path) -> None:
+def test_many_readings_are_drawn_as_fine_as_the_screen(browser: "Browser", mill: tuple[Path, RunningStudio]) -> None:
     """Oracle: the canvas of WebGL has a dot of its own for each of the screen, and no more, which would be slow."""
-    shutil.copy(MILL, tmp_path)
-    given = [word for key in CIRCLE for word in ("--set", key)]
-    made = ["simulate", str(MILL), "-i", "ball_bar", *given, "--cycles", "1", "--seed", "1"]
-    assert status([*made, "-o", str(tmp_path / "bar")]) == 0
-    bar, model = str(tmp_path / "bar.csv"), str(tmp_path / "m.toml")
-    assert status(["fit", str(tmp_path / MILL.name), bar, "--effects", "scale", "-o", model]) == 0
-    with running_studio(tmp_path) as studio:
-        page = tab(browser, studio.address).page
-        page.get_by_label("use bar.csv").click()
-        page.get_by_role("button", name="Compare the model with the measurements").click()
-        page.wait_for_selector(".chart[data-drawn=yes] canvas.gl-canvas-focus")
-        dots, wide = page.locator(".chart canvas.gl-canvas-focus").first.evaluate(
-            "(e) => [e.width, e.getBoundingClientRect().width * window.devicePixelRatio]"
-        )
-        page.context.close()
+    page = tab(browser, mill[1].address).page
+    page.get_by_label("use bar.csv").click()
+    page.get_by_role("button", name="Compare the model with the measurements").click()
+    page.wait_for_selector(".chart[data-drawn=yes] canvas.gl-canvas-focus")
+    dots, wide = page.locator(".chart canvas.gl-canvas-focus").first.evaluate(
+        "(e) => [e.width, e.getBoundingClientRect().width * window.devicePixelRatio]"
+    )
+    page.context.close()
     assert dots == pytest.approx(wide, abs=1)
 
 

@@ -11,7 +11,15 @@ import pytest
 from rtec.control.client import Client, DaemonPlace
 from rtec.control.facts import um_text
 from rtec.control.places import of_config
-from tests.studio.studio_rig import Watched, live_config, needs_browser, running_daemon, running_studio, tab
+from tests.studio.studio_rig import (
+    RunningStudio,
+    Watched,
+    live_config,
+    needs_browser,
+    running_daemon,
+    running_studio,
+    tab,
+)
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -51,6 +59,13 @@ def watched(browser: "Browser", config: Path, tmp_path_factory: pytest.TempPathF
     folder = tmp_path_factory.mktemp("studio")
     with running_studio(folder, "--attach", str(config), "--role", "operate") as studio:
         yield tab(browser, studio.address)
+
+
+@pytest.fixture(scope="module")
+def onlooker(config: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningStudio]:
+    """A studio that may not operate."""
+    with running_studio(tmp_path_factory.mktemp("onlooker"), "--attach", str(config)) as studio:
+        yield studio
 
 
 def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched: Watched, config: Path) -> None:
@@ -120,11 +135,11 @@ def _reported(page: "Page", config: Path) -> None:
 
 
 def test_an_answer_of_the_daemon_costs_the_styles_of_what_it_changes(
-    browser: "Browser", config: Path, tmp_path: Path
+    browser: "Browser", config: Path, onlooker: RunningStudio
 ) -> None:
     """Oracle: how many elements' styles the browser computes again, by its own trace; at each answer it was all."""
-    with running_daemon(config), running_studio(tmp_path, "--attach", str(config)) as studio:
-        page = tab(browser, studio.address).page
+    with running_daemon(config):
+        page = tab(browser, onlooker.address).page
         page.wait_for_function("[...document.querySelectorAll('.chart')].filter((c) => c.dataset.drawn).length === 4")
         elements = page.evaluate("document.querySelectorAll('*').length")
         bars = "[...document.querySelectorAll('.fill')].map((e) => e.style.cssText).join()"
@@ -137,9 +152,8 @@ def test_an_answer_of_the_daemon_costs_the_styles_of_what_it_changes(
     assert sum(n > elements / 2 for n in computed) <= 1  # the tables and plots, if they are drawn again meanwhile
 
 
-def test_without_the_role_there_are_no_buttons(browser: "Browser", config: Path, tmp_path: Path) -> None:
+def test_without_the_role_there_are_no_buttons(browser: "Browser", onlooker: RunningStudio) -> None:
     """Oracle: the page's buttons, and the sentence that says how to get them."""
-    with running_studio(tmp_path, "--attach", str(config)) as studio:
-        page = tab(browser, studio.address).page
-        page.get_by_text("--role operate").wait_for()
-        assert page.get_by_role("button", name="Hold").count() == 0
+    page = tab(browser, onlooker.address).page
+    page.get_by_text("--role operate").wait_for()
+    assert page.get_by_role("button", name="Hold").count() == 0

@@ -33,8 +33,8 @@ pytestmark = [needs_browser, pytest.mark.xdist_group("others")]
 ENDS = "(e) => Object.fromEntries(['x', 'y'].map((a) => [a, [...e._fullLayout[a + 'axis'].range]]))"
 MARKED = "(e) => e._fullData.reduce((n, t) => n + (t.selectedpoints?.length ?? 0), 0)"
 TOLD = """(e) => {
-  window.zoomed = false;
-  e.on("plotly_relayout", (x) => { window.zoomed ||= /axis.range/.test(Object.keys(x).join()); });
+  window.told = "";
+  e.on("plotly_relayout", (x) => { window.told += Object.keys(x).join(); });
 }"""
 """When Plotly says what is in sight, which is later than it draws it."""
 CAMERA = "(e) => { const { eye, center, up } = e.layout.scene.camera; return { eye, center, up }; }"
@@ -45,6 +45,12 @@ SEEN = """(e) => {
   return { matrices: [model, view, projection].map((m) => [...m]), scale: [...scale], aspect: box.width / box.height };
 }"""
 """The matrices with which WebGL draws, by columns, and the scale of its data."""
+STILL = f"""async (e) => {{
+  const now = () => JSON.stringify([({CAMERA})(e), ({SEEN})(e).matrices]), seen = now();
+  for (let frame = 0; frame < 10; frame++) await new Promise(requestAnimationFrame);
+  return now() === seen;
+}}"""
+"""Whether the view has come to rest: ten frames draw the same."""
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +104,7 @@ def _zoom(page: "Page", chart: Any) -> dict[str, list[float]]:
     chart.locator(".modebar-btn.active[data-title=Zoom]").wait_for()
     chart.evaluate(TOLD)
     _drag(page, chart, (0.3, 0.4), (0.6, 0.6))
-    page.wait_for_function("window.zoomed")
+    page.wait_for_function("/axis.range/.test(window.told)")
     after: dict[str, list[float]] = chart.evaluate(ENDS)
     return after
 
@@ -155,9 +161,10 @@ def test_the_candidate_and_the_residual_after_it_are_cut_as_on_the_page(page: "P
     _show(page, "Add and watch")
     chart = _chart(page, "The residual over position")
     chart.hover()
+    chart.evaluate(TOLD)
     chart.locator(".modebar-btn[data-title='Reset axes']").click()
     page.wait_for_function(f"([e, x]) => ({ENDS})(e).x[0] !== x", arg=[chart.element_handle(), ends["x"][0]])
-    page.wait_for_timeout(500)
+    page.wait_for_function("/axis.(auto)?range/.test(window.told)")
     assert "Zoomed in" not in _report(page, "Add and watch")
     _show(page, "Add and watch")
 
@@ -198,9 +205,11 @@ def test_the_machine_is_seen_from_the_same_place(page: "Page", workshop: Running
     page.locator("header", has_text="2 measurements").wait_for()
     _show(page, "Explore")
     chart = _chart(page, "The machine's links")
+    chart.evaluate(TOLD)
     _drag(page, chart, (0.5, 0.5), (0.65, 0.35))
     page.wait_for_function(f"(e) => ({CAMERA})(e).eye.x !== 1.4", arg=chart.element_handle())
-    page.wait_for_timeout(1000)  # the view comes to rest
+    page.wait_for_function("/scene.camera/.test(window.told)")
+    page.wait_for_function(STILL, arg=chart.element_handle())
     camera, seen = _camera(chart.evaluate(CAMERA)), chart.evaluate(SEEN)
     machine = load_machine(MACHINE)
     room = room_mm(machine)
