@@ -49,16 +49,13 @@ class Fit:
         return inverse(self.whitener(self.columns))
 
 
-def fit_columns(
-    whitener: Whitener, columns: Floats, rounds: int = ROUNDS, steps: int = STEPS, values: Floats | None = None
-) -> Fit:
+def fit_columns(whitener: Whitener, columns: Floats, rounds: int = ROUNDS, values: Floats | None = None) -> Fit:
     """Fit columns and noise in turn.
 
     Args:
         whitener: an approximate noise to start with.
         columns: (m, p).
         rounds: number of noise estimates.
-        steps: evaluations of each noise search, for each series.
         values: coefficients under the first noise, (p,); None where they are unknown.
     """
     readings, now = whitener.readings, whitener
@@ -67,7 +64,7 @@ def fit_columns(
         white = now(whole)
         values = solve(white[:, :-1], white[:, -1])
     for _ in range(rounds):
-        now = refine(now, readings.values - columns @ values, steps)
+        now = refine(now, readings.values - columns @ values, STEPS)
         white = now(whole)
         values = solve(white[:, :-1], white[:, -1])
     return Fit(now, columns, values, log_likelihood(now, white[:, -1] - white[:, :-1] @ values))

@@ -247,7 +247,6 @@ def joint_fit(
     effects: Sequence[FittedEffect],
     readings: Readings,
     *,
-    search: bool = True,
     earlier: Model | None = None,
     least: tuple[float, ...] = (),
 ) -> Joint:
@@ -256,7 +255,6 @@ def joint_fit(
     Args:
         effects: with the numbers to start from; a new one with `errors` empty and coefficients zero.
         readings: all readings, with the channels that the loop has.
-        search: also refit non-linear parameters.
         earlier: the model as other readings determined it, whose effects are the first ones: these readings refine its
             numbers. All other effects were fitted to these readings.
         least: smallest white noise of each series, as `least_noise` gives it; empty for none.
@@ -264,10 +262,10 @@ def joint_fit(
     Raises:
         MeasurementError: a channel that an effect needs was not recorded.
     """
-    refit = search and earlier is not None and len(effects) == len(earlier.effects)
-    delays = changed_delays(earlier, readings) if refit and earlier is not None else {}
+    only_refined = earlier is not None and len(effects) == len(earlier.effects)
+    delays = changed_delays(earlier, readings) if earlier and only_refined else {}
     work = _Work([f.effect for f in effects], readings, effects, earlier, delays=delays)
-    free = _free(effects, readings) if search else []
+    free = _free(effects, readings)
     made = _refereed(work, free, least)
     if len(work.parts) == len(work.followed):
         return made

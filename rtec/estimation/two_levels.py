@@ -49,14 +49,12 @@ class TwoLevels:
     Attributes:
         series: number of the series.
         high: which runs are at the higher level, (runs,).
-        gap: between the levels, in the unit of the readings.
         readings: what the levels make of each reading, zero in other series, (m,).
         message: in words.
     """
 
     series: int
     high: NDArray[np.bool_]
-    gap: float
     readings: Floats
     message: str
 
@@ -109,7 +107,7 @@ def _of(readings: Readings, number: int, left: Floats) -> TwoLevels | None:
         f"agree within {significant(float(within), 1)} at each; {named} are higher. Nothing that was recorded "
         "separates them."
     )
-    return TwoLevels(number, high, gap, out, message)
+    return TwoLevels(number, high, out, message)
 
 
 def _apart_from_others(readings: Readings, s: Series, left: Floats) -> Floats:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.doubts.edits import AS_GOOD
@@ -18,8 +17,6 @@ from rtec.metrology.contradicted import contradicted
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.travel import BEYOND, outside_travel, travel_words
 from rtec.wording import ERROR_UNITS, significant, sizes
-
-Floats = NDArray[np.float64]
 
 FEWEST = 10
 """Moves, with fewer of which the clock is not asked about."""

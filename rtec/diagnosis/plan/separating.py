@@ -110,7 +110,7 @@ def separating(
     measurements: Sequence[Measurement],
     extras: Sequence[Extra] | None = None,
     *,
-    noise: float = USUAL_NOISE,
+    noise: float,
     whitener: Whitener | None = None,
 ) -> list[Separator]:
     """Rank tests by how well they would separate rival effects: most pairs first, then the quickest.

@@ -606,7 +606,7 @@ class Search:
         curves = warm_up_curves(self.readings, self._channels(best), part)
         if not curves:
             return None
-        evidence, columns = self.refits.of_curves(curves, 2)
+        evidence, columns = self.refits.of_curves(curves)
         return columns if best.log_evidence - evidence < SURE else None
 
     def _without_instrument(self, members: list[Refitted]) -> list[Refitted]:
@@ -627,7 +627,7 @@ class Search:
             others = [o.columns for o in members if o is not t]
             whole = last.fit.log_likelihood - start - last.log_evidence
             curves += [mine] if mine else []
-            if mine and last.log_evidence - self.refits.of_curves(mine, 2, others)[0] + (whole - cost) < SURE:
+            if mine and last.log_evidence - self.refits.of_curves(mine, others)[0] + (whole - cost) < SURE:
                 instruments.append(t)
             else:
                 out.append(replace(t, log_evidence=t.fit.log_likelihood - cost))
@@ -635,8 +635,8 @@ class Search:
         if not instruments:
             self.doubts = tuple(d for d in self.doubts if not curves or d.kind != "instrument_warm_up")
             return members
-        beside = self.refits.of_curves(curves[-1], 2, [t.columns for t in out])[0] - costs
-        if beside - self.refits.of_curves(curves[-1], 2)[0] < len(out) * (self._prior_odds + SURE):
+        beside = self.refits.of_curves(curves[-1], [t.columns for t in out])[0] - costs
+        if beside - self.refits.of_curves(curves[-1])[0] < len(out) * (self._prior_odds + SURE):
             return []
         self._doubt_warm_up(instruments[0], fatal=not out)
         return self.refits.in_order(out)
@@ -664,7 +664,7 @@ class Search:
             return True
         part = top.columns @ top.fit.values[width : width + top.columns.shape[1]]
         curves = warm_up_curves(self.readings, unknown.channels, part)
-        if not curves or top.log_evidence - self.refits.of_curves(curves, 2)[0] >= SURE:
+        if not curves or top.log_evidence - self.refits.of_curves(curves)[0] >= SURE:
             return False
         self.doubts = (*self.doubts, own_warm_up(f"A curve over {' and '.join(unknown.channels)}"))
         return True
@@ -852,7 +852,7 @@ class Search:
         width = self.prepared.base.shape[1]
         part = second.fit.columns[:, width:] @ second.fit.values[width:]
         curves = warm_up_curves(self.readings, (*self._channels(first), *self._channels(second)), part)
-        return bool(curves) and second.log_evidence - self.refits.of_curves(curves, 2)[0] < self._prior_odds + SURE
+        return bool(curves) and second.log_evidence - self.refits.of_curves(curves)[0] < self._prior_odds + SURE
 
     def _leaner(self, refitted: Sequence[Refitted], evidence: float) -> list[Refitted]:
         """Plain effects that are together likelier than an answer with many numbers; empty where none are.

@@ -840,12 +840,11 @@ class Refits:
         first = t.fit.values[self.prepared.base.shape[1]]
         return bool(abs(along[best]) > AGAIN * abs(first) * max(float(squares[best]), 1e-12))
 
-    def of_curves(self, curves: Sequence[Floats], searched: int, beside: Sequence[Floats] = ()) -> tuple[float, Floats]:
+    def of_curves(self, curves: Sequence[Floats], beside: Sequence[Floats] = ()) -> tuple[float, Floats]:
         """Log evidence of the best of several curves over the current model, and its columns.
 
         Args:
-            curves: columns for each value of the searched parameters, (m, k) each.
-            searched: number of searched parameters.
+            curves: columns for each value of the two searched parameters, (m, k) each.
             beside: columns of effects beside them, which cost nothing, (m, k) each.
         """
         base, best = np.concatenate([self.prepared.base, *beside], axis=1), (-math.inf, curves[0])
@@ -854,7 +853,7 @@ class Refits:
             squares = [float(np.sum((orthonormal(known.take_out(noise(c))).T @ known.left) ** 2)) for c in curves]
             columns = curves[int(np.argmax(squares))]
             fit = self.fit(np.concatenate([base, columns], axis=1))
-            gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + searched)
+            gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + 2)
             best = max(best, (gain - self.current.log_likelihood, columns), key=lambda b: b[0])
         return best
 
