@@ -291,17 +291,17 @@ def without_nuisance(readings: Readings, left: Floats) -> Floats:
     return out
 
 
-def without_runs(series: Series, columns: Floats) -> Floats:
-    """Columns of one series less the unknowns of each run, (n,) or (n, p)."""
+def without_runs(series: Series, columns: Floats, weight: Floats | None = None) -> Floats:
+    """Columns of one series less the unknowns of each run, (n,) or (n, p), by least squares, weighted by (n,)."""
     if not series.nuisance.shape[1]:
         return columns.copy()
     edges = np.concatenate([[0], np.flatnonzero(np.diff(series.run)) + 1, [len(series)]])
+    each = (np.ones(len(series)) if weight is None else weight).reshape(-1, *[1] * (columns.ndim - 1))
     if series.nuisance.shape[1] == 1 and not np.ptp(series.nuisance):
-        size = np.diff(edges).astype(np.float64)
-        means = np.add.reduceat(columns, edges[:-1], axis=0) / (size if columns.ndim == 1 else size[:, None])
+        means = np.add.reduceat(columns * each, edges[:-1], axis=0) / np.add.reduceat(each, edges[:-1], axis=0)
         return np.asarray(columns - means[series.run])
-    out = columns.copy()
+    out, roots = columns.copy(), np.sqrt(each)
     for a, b in itertools.pairwise(edges):
-        own = series.nuisance[a:b]
-        out[a:b] -= own @ np.linalg.lstsq(own, out[a:b], rcond=None)[0]
+        own, root = series.nuisance[a:b], roots[a:b]
+        out[a:b] -= own @ np.linalg.lstsq(own * root.reshape(-1, 1), out[a:b] * root, rcond=None)[0]
     return out

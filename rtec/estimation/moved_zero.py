@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
@@ -153,7 +154,7 @@ class _Changes:
         order = np.argsort(self.after, kind="stable")
         runs = np.split(values[order], np.flatnonzero(np.diff(self.after[order])) + 1)
         apart = [v - np.median(v) for v in runs if len(v) >= FEW_PLACES]
-        return 1.4826 * float(np.median(np.abs(np.concatenate(apart)))) if apart else 0.0
+        return robust_sigma(np.concatenate(apart)) if apart else 0.0
 
     def cold(self, values: Floats) -> Floats:
         """Values without what goes with the temperatures, (pairs,)."""
@@ -240,7 +241,7 @@ def _stands_out(changes: _Changes, jump: _Jump) -> bool:
     steps = {k: float(np.median(d)) for k, d in enumerate(moved) if len(d) >= FEW_PLACES}
     if not steps:
         return False
-    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([moved[k] - m for k, m in steps.items()]))))
+    scatter = robust_sigma(np.concatenate([moved[k] - m for k, m in steps.items()]))
     into, back = jump.holds(after) & outside, jump.holds(before) & outside
     own = _apart(_all_alike(change[into]), _all_alike(-change[back]))
     mine = set(range(jump.first, jump.last + 1))

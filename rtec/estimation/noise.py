@@ -14,6 +14,7 @@ from typing import Any, Concatenate, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_scatter
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_sums, gains, innovations
 from rtec.wording import ERROR_UNITS, significant
@@ -268,8 +269,7 @@ def _run_variance(series: Series, y: Floats) -> Floats:
 def _roughness(series: Series, y: Floats) -> float:
     """White noise from the differences of neighbouring readings of a run."""
     step = np.diff(y)[np.diff(series.run) == 0]
-    robust = 1.4826 * float(np.median(np.abs(step - np.median(step)))) / math.sqrt(2.0) if len(step) else 0.0
-    return max(robust, 0.01 * float(np.std(y)), 1e-9)
+    return max(robust_scatter(step) / math.sqrt(2.0), 0.01 * float(np.std(y)), 1e-9)
 
 
 def _orthonormal(columns: Floats) -> Floats:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
@@ -86,7 +87,7 @@ def _of(readings: Readings, number: int, left: Floats) -> TwoLevels | None:
     if any(len(v) < FEW_PLACES for v in values):
         return None
     heights = np.array([np.median(v) for v in values])
-    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([v - h for v, h in zip(values, heights, strict=True)]))))
+    scatter = robust_sigma(np.concatenate([v - h for v, h in zip(values, heights, strict=True)]))
     high, ratio = _split(heights)
     if not high.any():
         return None
