@@ -48,6 +48,8 @@ LETTER, MIN_LETTERS, LABELS_IN = 0.62, 12, 1.3
 P = ParamSpec("P")
 Zoom = Mapping[str, tuple[float, float]]
 """Ends of a part of a figure, by axis: "x", "y", and "y2" of a second panel below; an axis without ends is whole."""
+MOST_DOTS = 4000
+"""Of more readings, evenly chosen ones are drawn."""
 WHOLE: Zoom = {}
 
 
