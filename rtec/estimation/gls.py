@@ -1,6 +1,7 @@
 """Generalised least squares with a noise estimated in the same fit, and the error on held-out runs."""
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -68,6 +69,11 @@ def fit_columns(whitener: Whitener, columns: Floats, rounds: int = ROUNDS, value
         white = now(whole)
         values = solve(white[:, :-1], white[:, -1])
     return Fit(now, columns, values, log_likelihood(now, white[:, -1] - white[:, :-1] @ values))
+
+
+def bic_cost(numbers: int, readings: float) -> float:
+    """Cost of numbers in log evidence: half the Bayesian information criterion's (Schwarz 1978)."""
+    return 0.5 * numbers * math.log(readings)
 
 
 def solve(columns: Floats, values: Floats) -> Floats:

@@ -19,7 +19,7 @@ from rtec.effects.geometry import Scale
 from rtec.effects.reversal import Backlash, BacklashTemperature
 from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError, ModelError
-from rtec.estimation.changed_delay import Delays, changed_delays, with_delays
+from rtec.estimation.changed_delay import FAR, Delays, changed_delays, with_delays
 from rtec.estimation.columns import slope
 from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gls import HeldOut, along_runs, held_out, inverse, solve
@@ -41,10 +41,10 @@ LOOSE = 30.0
 """Standard errors that a number may move freely where the same readings are fitted again."""
 LOOSENESS = (2.0, 4.0, 8.0, 16.0, 30.0, 100.0, 300.0, 1e3, 1e4, 1e5)
 """Standard errors that the numbers of a changed effect may move, to choose from."""
-CHANGED, FAR = 6.0, 3.5
-"""The numbers of an effect have changed where twice the logarithm of the evidence rises by the first, which are odds of
-20 to 1, and one of them moves by the second in standard errors, under noise that may drift; by more where few runs
-determine it, as of Student's distribution."""
+CHANGED = 6.0
+"""The numbers of an effect have changed where twice the logarithm of the evidence rises by this (odds of 20 to 1), and
+one of them moves by `FAR` in standard errors, under noise that may drift; by more where few runs determine it, as of
+Student's distribution."""
 ENOUGH_RUNS, MOST = 6, 0.5
 """So many runs say how sure a number is, where its change leaves less than this share of the mean square."""
 ONE_TEMPERATURE_K, NARROW_K = 1.0, 3.0

@@ -29,11 +29,11 @@ LEAST, EVEN = 10.0, 0.7
 """The jump is this percentile of the changes at all places, and at least this share of their median: heat moves the
 places by different amounts, a zero moves all equally."""
 NOISE, USUAL, OTHERS = 10.0, 5.0, 4.0
-"""A jump is at least this many times the scatter of a change at one place, this many times the usual step of the other
-runs, and makes the run this many times farther from both neighbouring runs than any other run is from its own."""
+"""A jump is at least `NOISE` times the scatter of a change at one place, and `USUAL` times the usual step of the other
+runs. It makes the run `OTHERS` times farther from both neighbouring runs than any other run is from its own."""
 QUIET, CHANCE = 4.0, 1e-5
-"""Or this many times the scatter of a change at one place, if steps like those of the other runs are that large with
-this probability: few steps say less about the others."""
+"""Or a jump is `QUIET` times that scatter, if steps like those of the other runs are so large with the probability
+`CHANCE`. Few steps say less about the others."""
 SURE = 1.253
 """Standard error of the median of normal values, over that of their mean."""
 VISIBLE = 0.75

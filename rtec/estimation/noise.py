@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtec.arrays import robust_scatter
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_sums, gains, innovations
-from rtec.wording import ERROR_UNITS, significant
+from rtec.wording import ERROR_UNITS, duration, significant
 
 Floats = NDArray[np.float64]
 P = ParamSpec("P")
@@ -69,17 +69,10 @@ class Noise:
         drift, offset = self.sigma * math.sqrt(self.drift), self.sigma * math.sqrt(self.offset)
         text = f"{name}: white noise {significant(self.sigma, 2)} {u}"
         if drift > 0.2 * self.sigma:
-            text += f", drift {significant(drift, 2)} {u} with a memory of {minutes(self.tau_s)}"
+            text += f", drift {significant(drift, 2)} {u} with a memory of {duration(self.tau_s)}"
         if offset > 0.2 * self.sigma:
             text += f", offset from run to run {significant(offset, 2)} {u}"
         return text
-
-
-def minutes(seconds: float) -> str:
-    """A duration in words."""
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 @dataclass(frozen=True)

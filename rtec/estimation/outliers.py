@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rtec.arrays import SIGMA_PER_MAD, robust_scatter, robust_sigma
 from rtec.estimation.end_targets import EndTargets, end_targets
 from rtec.estimation.flexible import smooth_columns
-from rtec.estimation.gls import solve, without_runs
+from rtec.estimation.gls import STILL_MM, solve, without_runs
 from rtec.estimation.readings import Readings, Series, read, row_codes
 from rtec.estimation.visible import same_place_mm
 from rtec.jit import njit
@@ -63,7 +63,6 @@ AROUND, SHORT = 21, 14
 QUARTILE, QUARTILE_SIGMA = 0.75, 1.1503
 """Readings around one that give the local noise level, by their third quartile: bursts are fewer."""
 SMALL = 0.02
-STILL_MM = 1e-3
 EVEN = 0.01
 """Share of a step of the display by which readings may miss its multiples: files hold rounded numbers."""
 TOLD = 12

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.doubts.edits import AS_GOOD
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
+from rtec.estimation.changed_delay import AS_GOOD
 from rtec.estimation.columns import base_of
 from rtec.estimation.judge import Judgement
 from rtec.estimation.warmth import of_the_fit

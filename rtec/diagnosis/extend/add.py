@@ -38,7 +38,7 @@ from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.unmeasured import UnmeasuredMotion, unmeasured_motions
-from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
+from rtec.estimation.warmth import differs_from_fit_day, expands_much
 from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -127,9 +127,9 @@ CLEARLY = 0.02
 """A fall of the error on held-out runs by more than this share is clear: then a model keeps its own numbers, or gets an
 effect."""
 HOLDS, NEARLY = 0.95, 1.1
-"""A model keeps its own numbers where the addition then still removes this share of its mean square, of what it removes
-with all numbers refitted, and held-out runs are predicted within the second factor: the numbers are no reason for what
-it left. Slow drift, which the numbers follow, does not count."""
+"""A model keeps its own numbers where they are no reason for its residual. Beside them, the addition must remove this
+share of what it removes of the mean square with all numbers refitted, and predict held-out runs within the second
+factor. Slow drift, which the numbers follow, does not count."""
 FAR = 5.0
 """A number that moves by this many standard errors is another one."""
 SHARPER, SURELY = 0.1, 10.0
@@ -325,7 +325,7 @@ def _add(
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
-    much = (*_beyond_materials(model.effects, made.model.effects), *otherwise_on_the_day_of_the_fit(model, made.model))
+    much = (*_beyond_materials(model.effects, made.model.effects), *differs_from_fit_day(model, made.model))
     better = made.better and not cancelling and not wrong and not much
     return replace(
         made,

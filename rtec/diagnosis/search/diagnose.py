@@ -76,7 +76,7 @@ from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.given import given_to
-from rtec.estimation.gls import along_runs, held_out_gain, solve
+from rtec.estimation.gls import along_runs, bic_cost, held_out_gain, solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean
@@ -336,11 +336,12 @@ class Search:
             undecided = None
         return answer(
             SearchResult(
-                self.model, self.prepared, self.candidates, self.untried, self._prior_odds, projected, found,
-                self.refits, refitted, pair[1].number if pair is not None else None, p, named, share,
-                unknown, self._top_shape, self.seed, self.explain, self._next(refitted, pair, named),
-                self.judged, self.doubts, tuple(chain),
-                undecided[0] if undecided is not None else None,
+                model=self.model, prepared=self.prepared, candidates=self.candidates, untried=self.untried,
+                prior_odds=self._prior_odds, projected=projected, found=found, refits=self.refits,
+                refitted=refitted, partner=pair[1].number if pair is not None else None, p=p, accepted=named,
+                adequacy=share, unknown=unknown, shape=self._top_shape, seed=self.seed, explain=self.explain,
+                beside=self._next(refitted, pair, named), judged=self.judged, doubts=self.doubts,
+                chain=tuple(chain), undecided=undecided[0] if undecided is not None else None,
             )
         )  # fmt: skip
 
@@ -798,7 +799,7 @@ class Search:
         found = [-math.inf]
         for curve in over_time(top, self.readings):
             fit = self.refits.fit(np.concatenate([self.prepared.base, best.columns, curve], axis=1))
-            found.append(fit.log_likelihood - cost - 0.5 * curve.shape[1] * math.log(len(self.readings)))
+            found.append(fit.log_likelihood - cost - bic_cost(curve.shape[1], len(self.readings)))
         return max(found)
 
     def _pair(self, refitted: Sequence[Refitted]) -> tuple[tuple[Refitted, Refitted] | None, list[Refitted]]:

@@ -33,7 +33,7 @@ from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.effects.cyclic import Cyclic
 from rtec.estimation.candidates import REAL, EffectCandidate
-from rtec.estimation.gls import ROUNDS, Fit, HeldOutGain, fit_columns, held_out_gain, solve, without_nuisance
+from rtec.estimation.gls import ROUNDS, Fit, HeldOutGain, bic_cost, fit_columns, held_out_gain, solve, without_nuisance
 from rtec.estimation.noise import Whitener, find_noise, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.targets import WAVES, predicts_targets
@@ -805,7 +805,7 @@ class Refits:
         base = np.concatenate([self.prepared.base, *apart], axis=1)
         plane = replace(shape, fine=(1,) * len(shape.fine)) if shape.period is None else shape
         for columns in (top.columns, ground.columns(plane)):
-            cost = 0.5 * columns.shape[1] * math.log(len(self.readings))
+            cost = bic_cost(columns.shape[1], len(self.readings))
             if self._gain_beside(base, columns, self.readings) - cost > UNSURE:
                 return ()
         return given
