@@ -9,13 +9,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.held_out import STILL_MM
 from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import Whitener, log_likelihood, refine
 from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
 
-STILL_MM = 1e-3
 ROUNDS = 3
 NOTHING = 1e-100
 """A column of a smaller norm is rounding, and its square would underflow."""

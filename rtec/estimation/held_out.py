@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.estimation.gls import STILL_MM
 from rtec.metrology.measurement import Measurement
 
 Ints = NDArray[np.int64]
@@ -26,6 +25,7 @@ FOLDS = 8
 the measured range."""
 STRETCH_H = 4.0
 """A part of a thermal cycle: long against the machine's quick drift, short against a day."""
+STILL_MM = 1e-3
 QUARTER = 0.25
 NEAR = 0.01
 """Places within this share of the visited range are one."""

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from rtec.arrays import SIGMA_PER_MAD, robust_scatter, robust_sigma
 from rtec.estimation.end_targets import EndTargets, end_targets
 from rtec.estimation.flexible import smooth_columns
-from rtec.estimation.gls import STILL_MM, solve, without_runs
+from rtec.estimation.gls import solve, without_runs
+from rtec.estimation.held_out import STILL_MM
 from rtec.estimation.readings import Readings, Series, read, row_codes
 from rtec.estimation.visible import same_place_mm
 from rtec.jit import njit
