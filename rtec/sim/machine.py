@@ -155,11 +155,6 @@ class SimulatedMachine:
         self._clock[c.PROGRAM_TICK :] = self._clock[c.TICK], 0, int(repeat)
 
     @property
-    def program_done(self) -> bool:
-        """Whether the program has ended (never, where it repeats)."""
-        return int(self._clock[c.BLOCK]) >= len(self._blocks)
-
-    @property
     def program_s(self) -> float:
         """Duration of one pass of the program, s."""
         return float(self._blocks[-1][END]) * self._period_ns * 1e-9 if len(self._blocks) else 0.0
