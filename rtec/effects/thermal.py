@@ -139,7 +139,7 @@ class AxisExpansion(OneSensor, AxisEffect):
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
         """Every sensor, as read and lagged, with the fixed point at zero and at the ends and the middle of the travel.
 
-        A sensor on the nut or in the coolant warms up before the screw does.
+        A sensor on the nut or in the coolant warms up before the screw does. A stretched screw grows from a bearing.
         """
         low, high = around.moved.travel_mm
         feet = dict.fromkeys((0.0, low, 0.5 * (low + high), high))
@@ -147,8 +147,8 @@ class AxisExpansion(OneSensor, AxisEffect):
             yield {"axis": around.moved.name, "sensor": sensor, "fixed_mm": fixed, "lag": lag}
         for sensor in around.sensors:
             low_degc, high_degc = around.channels[sensor]
-            if high_degc - low_degc >= STRETCHED_K:
-                yield {"axis": around.moved.name, "sensor": sensor, "stretched": True}
+            for fixed in dict.fromkeys((0.0, low, high)) if high_degc - low_degc >= STRETCHED_K else ():
+                yield {"axis": around.moved.name, "sensor": sensor, "fixed_mm": fixed, "stretched": True}
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`(q - q_fix)` in m times `ΔT`, or times the rise above `T0`."""

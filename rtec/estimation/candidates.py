@@ -19,7 +19,6 @@ from rtec.estimation.readings import Readings
 from rtec.estimation.visible import (
     VisibleComponent,
     axis_of,
-    moves,
     visible_components,
     within_record,
 )
@@ -140,9 +139,9 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
 
 
 def visible(readings: Readings, there: Sequence[FittedEffect] | None = ()) -> list[VisibleComponent]:
-    """Component errors that the readings see; where no axis moves, the tilts of the axes that carry the spindle too.
+    """Component errors that the readings see; also the angles of the axes that stand and carry the spindle.
 
-    A column tilts about its foot, which may be at any axis of its chain. Tilts that move all readings as another
+    A column tilts about its foot, which may be at any axis of its chain. Angles that move all readings as another
     component does are left out: these readings cannot distinguish them. Of fixed links that are the same in these
     readings one stands for all: that of effects of the model, a spindle, or one that a sensor has its name from.
 
@@ -153,8 +152,6 @@ def visible(readings: Readings, there: Sequence[FittedEffect] | None = ()) -> li
     found, machine = visible_components(readings.measurements), readings.machine
     if there is not None:
         found = [_stands_for_all(readings, c, there) for c in found]
-    if any(moves(m, a) for m in readings.measurements for a in machine.axes):
-        return found
     fixed = {c.name[3:] for c in found if c.axis is None}
     carrying = {n for chain in (machine.work_chain, machine.tool_chain) if fixed & set(chain) for n in chain}
     tilts = (f"E{angle}{a.name}" for a in machine.axes if a.name in carrying for angle in "ABC")

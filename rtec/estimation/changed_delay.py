@@ -104,9 +104,9 @@ class _Refits:
         for i, f in enumerate(self.model.effects):
             if not f.errors.get("tau", 0.0) or not np.abs(self.readings.arms(f.effect.component)).any():
                 continue
-            bounds = next(p for p in within_record(f.effect, self.readings.measurements) if p.name == "tau")
-            if bounds.unit == "s" and 0.0 < bounds.low < bounds.high:
-                yield i, bounds
+            for bounds in within_record(f.effect, self.readings.measurements):
+                if bounds.name == "tau" and bounds.unit == "s" and 0.0 < bounds.low < bounds.high:
+                    yield i, bounds
 
     def moves(self, i: int, bounds: Parameter) -> bool:
         """Whether a linear refit moves a delay far; one that it would move out of reach is no column of the base."""

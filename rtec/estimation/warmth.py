@@ -203,12 +203,12 @@ def differs_from_fit_day(model: Model, after: Model) -> tuple[str, ...]:
         before, then = (sum(g.k * span[g.sensor] / most for g in of) for of in (was, now))
         if abs(then - before) > max(SHARED * abs(before), SURER * min(g.error for g in was)):
             out.append(
-                f"The expansion of {part[1]} would have been {significant(then, 2)} µm/(m·K) on the day of the fit, "
-                f"which showed {significant(before, 2)}."
+                f"the expansion of {part[1]} would have been {significant(then, 2)} µm/(m·K) on the day of the fit, "
+                f"which showed {significant(before, 2)}"
             )
         out += [
-            f"The expansion of {part[1]} by {one.sensor} would grow from {significant(one.k, 2)} to "
-            f"{significant(other.k, 2)} µm/(m·K), and another expansion would take it back."
+            f"the expansion of {part[1]} by {one.sensor} would grow from {significant(one.k, 2)} to "
+            f"{significant(other.k, 2)} µm/(m·K), and another expansion would take it back"
             for one, other in zip(was, now, strict=False)
             if abs(other.k) - abs(one.k) > max(SHARED * abs(one.k), SURER * one.error) and one.sensor not in new
         ]

@@ -259,7 +259,7 @@ def _next(r: Improved) -> list[str]:
 def _why_ended(r: Improved) -> str:
     """Why the improvement ended, in words."""
     if r.impossible:
-        return " ".join(r.impossible).rstrip(".")
+        return "; ".join(r.impossible)
     if r.reason == "no_gain" and r.cancelling:
         return not_determined(r.cancelling)
     last = r.diagnoses[-1].findings[:1] if r.reason == "no_gain" else ()

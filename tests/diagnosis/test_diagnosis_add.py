@@ -364,7 +364,7 @@ def test_an_expansion_beyond_every_material_is_not_added() -> None:
     made = add(model, [blank(grown, model)], [laser([SCALE, grown], 3)])
     assert made.after.held_out < 0.5 * made.before.held_out
     assert not made.better
-    assert re.search(r"k = \d+(\.\d+)? µm/\(m·K\); no material of a machine expands so much$", refused(made))
+    assert re.search(r"k = \d+(\.\d+)? µm/\(m·K\), and no material of a machine expands so much$", refused(made))
     usual = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11"
     assert add(model, [blank(usual, model)], [laser([SCALE, usual], 3)]).better
 

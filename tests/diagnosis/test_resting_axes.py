@@ -129,3 +129,31 @@ def test_a_chiller_that_switches_is_no_scatter(tmp_path: Path) -> None:
     d = diagnose(Model(m.machine, (), noise_um=0.3), [replace(m, readings=quiet)], draws=50)
     assert d.verdict == "undecided"
     assert re.search(r"swings by ±[34]\.?\d* µm with a period of 5\d min", d.sentence), d.sentence
+
+
+@pytest.mark.parametrize("seed", proof.few([1, 2, 3], 1))
+def test_the_angle_of_an_axis_that_stands_while_others_move_on_it_is_a_candidate(tmp_path: Path, seed: int) -> None:
+    """A laser along Z at two places of X, on a bridge that rolls by 3 µrad/K. Oracle: the angle times the place of X.
+
+    As it was, an expansion of Z and a mount "are missing", and the angle was not even in a table.
+    """
+    text = GANTRY.replace('"tool"', '"spindle"').replace("tool.", "spindle.")
+    (tmp_path / "machine.toml").write_text(text + "[temperature]\nT_bridge = {}\nT_room = {}\n")
+    made, rng = load_machine(tmp_path / "machine.toml"), np.random.default_rng(seed)
+    run = np.repeat(np.arange(1, 21), 12)
+    lasers = []
+    for at in (100.0, 600.0):
+        time_s = 30.0 * np.arange(240.0) + 1500.0 * run
+        bridge = 20.0 + 4.0 * np.sin(time_s / 9000.0 + rng.uniform(0.0, 6.0))
+        room = 20.0 + 1.5 * np.sin(time_s / 5000.0 + rng.uniform(0.0, 6.0))
+        turned = -3e-3 * (bridge - 20.0) * at
+        channels = {"x": np.full(240, at), "y": np.full(240, 500.0), "z": np.tile(np.linspace(20.0, 480.0, 12), 20)}
+        channels |= {n: np.round(v, 1) for n, v in (("T_bridge", bridge), ("T_room", room))}
+        instrument = make_instrument("laser_linear", {}, "Z", None, made, "laser")
+        read_um = {"reading_um": turned + 0.3 * rng.standard_normal(240)}
+        lasers.append(Measurement(f"at{at:.0f}", instrument, made, run, time_s, channels, read_um))
+    d = diagnose(Model(made), lasers, draws=50)
+    first = d.findings[0]
+    assert d.verdict in ("missing_effect", "ambiguous")
+    assert (first.effect.component, first.effect.channels(made)) == ("EBY", ("T_bridge",))
+    assert abs(first.parameters["k"].value) == pytest.approx(3.0, rel=0.05)

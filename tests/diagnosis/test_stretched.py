@@ -111,3 +111,16 @@ def test_beside_another_effect_the_answer_says_so_as_well() -> None:
     found = diagnose(empty(), [replace(day_, readings=more)], draws=50)
     assert {"axis_expansion", "scale"} <= {m.fitted.effect.effect for m in found.together}
     assert "axis_expansion(EXX, X, T_x_nut) of a stretched screw that is slack from 24.0 °C on" in found.sentence
+
+
+def test_it_may_grow_from_the_bearing_at_the_far_end() -> None:
+    """As it was, "an effect is missing that is not in the catalogue", and `improve` added nothing."""
+    day_, far_mm, kelvin = day(3, 4.0 * PER_K), 600.0, 4.0
+    x, nut = day_.channels["x"], day_.channels["T_x_nut"]
+    held = day_.readings["reading_um"] - screw_um(x, nut, kelvin * PER_K) - screw_um(far_mm - x, nut, kelvin * PER_K)
+    found = diagnose(empty(), [replace(day_, readings={"reading_um": held})], draws=50)
+    first = found.findings[0]
+    assert found.verdict == "missing_effect"
+    assert first.effect.model_dump()["fixed_mm"] == far_mm
+    assert first.parameters["k"].value == pytest.approx(1e6 * PER_K, rel=0.05)
+    assert first.theta["T0"] == pytest.approx(COLD_DEGC + kelvin, abs=0.3)

@@ -1,9 +1,11 @@
 """A scale error that only looks changed because the day is warmer. Oracle: what was hidden."""
 
+from dataclasses import replace
+
 import pytest
 
 from rtec.characterise import characterise
-from rtec.diagnosis.extend.add import add
+from rtec.diagnosis.extend.add import add, asked_effect
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
@@ -11,6 +13,7 @@ from rtec.estimation.warmth import differs_from_fit_day, expands_much
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.report.history import _refit_words, improved_page
+from tests.diagnosis import test_stretched as bar
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
 SCALE = "scale,component=EXX,axis=X,k=12"
@@ -97,3 +100,20 @@ def test_several_temperatures_make_together_what_the_day_of_the_fit_showed(
     was = Model(small_machine(), by_sensors(("T_bed", 11.0)), name="was", history=history)
     now = Model(small_machine(), by_sensors(*after), name="now")
     assert (not differs_from_fit_day(was, now)) == possible
+
+
+def test_of_two_expansions_against_each_other_the_second_is_no_contradiction_of_the_first() -> None:
+    """A scale grows by 8 µm/(m·K) and the work by 11.5, on one record. `add` refused the second: "The expansion of X
+    would have been -7.9 on the day of the fit, which showed -11", and that day was the same record.
+    """
+    day_ = bar.day(1, 0.0, slack=False)
+    x, nut, bed = (day_.channels[c] for c in ("x", "T_x_nut", "T_bed"))
+    screw = bar.screw_um(x, nut, 0.0)
+    grown = day_.readings["reading_um"] - 2.0 * screw + 8e-3 * (x - 300.0) * (bed - 20.0)
+    made, days = bar.empty(), [replace(day_, readings={"reading_um": grown})]
+    for sensor, fixed_mm in (("T_x_nut", 0.0), ("T_bed", 300.0)):
+        given = {"axis": "X", "sensor": sensor, "fixed_mm": fixed_mm}
+        added = add(made, [asked_effect("axis_expansion", "EXX", given, made)], days)
+        assert (added.better, added.impossible) == (True, ())
+        made = added.model
+    assert [f.values["k"] for f in made.effects] == pytest.approx([-11.5, 8.0], rel=0.05)

@@ -325,7 +325,8 @@ def _add(
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
-    much = (*_beyond_materials(model.effects, made.model.effects), *differs_from_fit_day(model, made.model))
+    other_day = differs_from_fit_day(earlier, made.model) if earlier is not None else ()
+    much = (*_beyond_materials(model.effects, made.model.effects), *other_day)
     better = made.better and not cancelling and not wrong and not much
     return replace(
         made,
@@ -556,7 +557,7 @@ def not_determined(names: Sequence[str]) -> str:
 def refused(added: Added) -> str:
     """Why an addition does not improve the model enough, in words."""
     if added.impossible:
-        return " ".join(added.impossible).rstrip(".")
+        return "; ".join(added.impossible)
     if added.doubts:
         return f"the record is in doubt: {' '.join(added.doubts)}".rstrip(".")
     if added.undetermined:
@@ -595,7 +596,7 @@ def _beyond_materials(before: Sequence[FittedEffect], after: Sequence[FittedEffe
 
     there = {f.label for f in before if much(f)}
     return tuple(
-        f"{f.label} would have k = {significant(f.values['k'])} µm/(m·K); no material of a machine expands so much."
+        f"{f.label} would have k = {significant(f.values['k'])} µm/(m·K), and no material of a machine expands so much"
         for f in after
         if much(f) and f.label not in there
     )

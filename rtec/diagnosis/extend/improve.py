@@ -261,10 +261,10 @@ def _improved(
     if warm is not None and (ask_made is None or ask_made(warm)):
         return growth.grown(model, ask, ask_made, first=warm)
     if ask_made is None and found.changes_slowly:
-        return growth.grown(model, ask, ask_made)  # nor to a slow change without a name, of an instrument or of heat
+        return growth.grown(model, ask, ask_made, found)  # nor to a slow change without a name, of instrument or heat
     if ask_made is not None and not ask_made(refit):
         growth.declined = True
-        return growth.grown(model, ask, ask_made)
+        return growth.grown(model, ask, ask_made, found)
     if step:
         step(refit)
     growth.own = 0
