@@ -62,3 +62,8 @@ def unforeseen(error: Exception) -> str:
     Makers' libraries may raise anything, even for half a line of garbage.
     """
     return clean(f"fault in the program or in a library that it uses: {type(error).__name__}: {error}")
+
+
+def first_line(error: BaseException) -> str:
+    """First line of a library's message, without its details; the name of the error's class where it has none."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

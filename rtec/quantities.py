@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+DAY_S: Final = 86400.0
 SMALLEST: Final = 1e-9
 """Least absolute value of a number that may be zero: a smaller one divides like zero without being zero."""
 

@@ -10,6 +10,9 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
+NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+"""Pattern of a number with a decimal point, as files hold it."""
+
 
 def clean(text: str) -> str:
     """A text as one line of printable characters; unchanged if it is one already."""

@@ -96,6 +96,13 @@ def odds(p: float) -> str:
     return f"{text} to 1" if ratio >= 1.0 else f"1 to {text}"
 
 
+def duration(seconds: float) -> str:
+    """A duration: "90 s", "45 min", "2.5 h"."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
 def listed(names: Sequence[object]) -> str:
     """Names in a row: "a", "a and b", "a, b and c"."""
     *first, last = map(str, names)

@@ -16,6 +16,33 @@ from rtec.errors import DriverError, DriverUnavailable, unforeseen
 from rtec.loop.clock import Clock
 
 T = TypeVar("T")
+NS = 1_000_000_000
+STOP_TIMEOUT_S = 15.0
+
+FirstRetry = Annotated[float, Field(ge=1e-6, le=60)]
+LongestRetry = Annotated[float, Field(ge=1e-6, le=600)]
+
+
+class Backoff:
+    """Waiting times that double from the first to the longest, and restart with the first after a success."""
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_ns, self._longest_ns = round(first_s * NS), round(longest_s * NS)
+        self._next_ns = self._first_ns
+
+    def next_ns(self) -> int:
+        """The next wait, ns."""
+        now_ns = self._next_ns
+        self._next_ns = min(2 * now_ns, self._longest_ns)
+        return now_ns
+
+    def reset(self) -> None:
+        """Restart with the shortest."""
+        self._next_ns = self._first_ns
+
+    def another(self) -> "Backoff":
+        """One with the same waits, for something else."""
+        return Backoff(self._first_ns / NS, self._longest_ns / NS)
 
 
 class Reopener(Generic[T]):
@@ -38,16 +65,16 @@ class Reopener(Generic[T]):
         self.attempts = 0
         self.error = ""
         self._attempt, self._discard, self._clock = attempt, discard, clock
-        self._first_s, self._longest_s = first_s, max(first_s, longest_s)
-        self._wait_s, self._due_ns, self._busy = first_s, 0, False
+        self._waits, self._due_ns, self._busy = Backoff(first_s, max(first_s, longest_s)), 0, False
         self._orders: SimpleQueue[bool] = SimpleQueue()
         self._results: SimpleQueue[T | str] = SimpleQueue()
         self._thread: threading.Thread | None = None
 
     def lost(self, error: str) -> None:
         """Record that it was lost now, and why; the first attempt follows after `first_s`."""
-        self.error, self._wait_s = error, self._first_s
-        self._due_ns = self._clock.now_ns() + round(self._first_s * 1e9)
+        self.error = error
+        self._waits.reset()
+        self._due_ns = self._clock.now_ns() + self._waits.next_ns()
 
     def poll(self) -> T | None:
         """The opened device, once; None while there is none."""
@@ -59,8 +86,7 @@ class Reopener(Generic[T]):
             if not isinstance(result, str):
                 return result
             self.error = result
-            self._wait_s = min(2.0 * self._wait_s, self._longest_s)
-            self._due_ns = self._clock.now_ns() + round(self._wait_s * 1e9)
+            self._due_ns = self._clock.now_ns() + self._waits.next_ns()
         elif self._clock.now_ns() >= self._due_ns:
             self._order()
         return None
@@ -98,35 +124,6 @@ class Reopener(Generic[T]):
                 self._results.put(str(e))
             except Exception as e:  # noqa: BLE001 - any exception of a library is reported; the next attempt follows
                 self._results.put(unforeseen(e))
-
-
-NS = 1_000_000_000
-STOP_TIMEOUT_S = 15.0
-
-FirstRetry = Annotated[float, Field(ge=1e-6, le=60)]
-LongestRetry = Annotated[float, Field(ge=1e-6, le=600)]
-
-
-class Backoff:
-    """Waiting times that double from the first to the longest, and restart with the first after a success."""
-
-    def __init__(self, first_s: float, longest_s: float) -> None:
-        self._first_ns, self._longest_ns = round(first_s * NS), round(longest_s * NS)
-        self._next_ns = self._first_ns
-
-    def next_ns(self) -> int:
-        """The next wait, ns."""
-        now_ns = self._next_ns
-        self._next_ns = min(2 * now_ns, self._longest_ns)
-        return now_ns
-
-    def reset(self) -> None:
-        """Restart with the shortest."""
-        self._next_ns = self._first_ns
-
-    def another(self) -> "Backoff":
-        """One with the same waits, for something else."""
-        return Backoff(self._first_ns / NS, self._longest_ns / NS)
 
 
 class OpenLink(Protocol):

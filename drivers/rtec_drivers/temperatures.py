@@ -49,15 +49,6 @@ def to_degc(kind: Kind, measured_mv: float, cold_junction_degc: float) -> float:
         raise DriverFault(f"type {kind}: {at} is no temperature that this type can have") from e
 
 
-def to_mv(kind: Kind, tip_degc: float, cold_junction_degc: float) -> float:
-    """Voltage at the terminals, mV, of a tip and terminals at these temperatures, °C; raises as `to_degc` does."""
-    table = _table(kind)
-    try:
-        return float(table.emf(tip_degc)) - float(table.emf(cold_junction_degc))
-    except ValueError as e:
-        raise DriverFault(f"type {kind}: {tip_degc:g} °C or {cold_junction_degc:g} °C is outside its range") from e
-
-
 def check_installed() -> None:
     """Raise now, not at the first reading, if the package is missing.
 

@@ -130,23 +130,6 @@ def _read_predicted(file: Path, trial: Trial) -> dict[str, Floats]:
     return found
 
 
-def write_answers(folder: Path, made: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> None:
-    """Write answers in the format of `read_answers`."""
-    rows = []
-    for i, trial in enumerate(made, 1):
-        a = answers[trial.label]
-        texts = (_joined(map(_text, a.names)), _joined(map(_text, a.claimed)))
-        rows.append(
-            (_number(i), a.verdict, *texts, _joined(sorted(a.variables)), _joined(sorted(a.doubts)), f"{a.seconds:.3f}")
-        )
-        if a.predicted:
-            where = folder / SETS / _number(i)
-            where.mkdir(parents=True, exist_ok=True)
-            values = zip(*(map(repr, map(float, v)) for v in a.predicted.values()), strict=True)
-            _write_table(where / PREDICTED, values, tuple(a.predicted))
-    _write_table(folder / ANSWERS, rows)
-
-
 def _answer(row: Mapping[str, str | None], where: str) -> TrialAnswer:
     def cell(name: str) -> str:
         return (row.get(name) or "").strip()
@@ -175,24 +158,16 @@ def _name(text: str, where: str) -> Right:
     return Right(effect, *rest)
 
 
-def _text(name: Right) -> str:
-    return ":".join(filter(None, (name.effect, name.component, name.sensor)))
-
-
 def _split(text: str) -> list[str]:
     return [part.strip() for part in text.split(";") if part.strip()]
-
-
-def _joined(parts: Iterable[str]) -> str:
-    return ";".join(parts)
 
 
 def _number(i: int) -> str:
     return f"{i:04d}"
 
 
-def _write_table(file: Path, rows: Iterable[Sequence[str]], head: Sequence[str] = HEAD) -> None:
+def _write_table(file: Path, rows: Iterable[Sequence[str]]) -> None:
     with file.open("w", encoding="utf-8", newline="") as out:
         table = csv.writer(out, lineterminator="\n")
-        table.writerow(head)
+        table.writerow(HEAD)
         table.writerows(rows)

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtec.characterise.choose import TermChoice
 from rtec.characterise.result import (
@@ -27,10 +26,9 @@ from rtec.estimation.outliers import Clean
 from rtec.estimation.warmth import recorded_degc
 from rtec.machine import Machine
 from rtec.model import FittedEffect, Model
-from rtec.model.fit import Margin, valid_range
+from rtec.model.fit import valid_range
 from rtec.model.model import ErrorCorrelation, number_name
 
-Floats = NDArray[np.float64]
 TOLD = 5
 """Number of correlations that are shown for each component error."""
 
@@ -41,12 +39,11 @@ def assemble(
     choice: TermChoice | None,
     given: Clean,
     name: str,
-    margin: Margin,
 ) -> Characterisation:
     """The result of a fit and of the choice before it, judged as by every command."""
     rivals = _rivals(fit, screened, choice)
     unused = screened.unused if screened else ()
-    judged = Judgement(model_of(fit, name, margin), given)
+    judged = Judgement(model_of(fit, name), given)
     met = judged.by_measurement
     table = tuple(_measurement(s, e) for s, e in zip(fit.sources, met, strict=True))
     model = _with_history(judged, fit)
@@ -163,7 +160,7 @@ def _correlation(fit: Estimate) -> ErrorCorrelation:
     return ErrorCorrelation.of(names, fit.covariance)
 
 
-def model_of(fit: Estimate, name: str, margin: Margin) -> Model:
+def model_of(fit: Estimate, name: str) -> Model:
     """The model of a fit, without a history."""
     sources = fit.sources
     read = [(s.state, np.flatnonzero(s.weight.reshape(-1, s.count).any(axis=1)).astype(np.int64)) for s in sources]
@@ -173,7 +170,7 @@ def model_of(fit: Estimate, name: str, margin: Margin) -> Model:
         effects=tuple(effects),
         name=name,
         reference_degc=sources[0].state.reference_degc,
-        valid_range=valid_range([f.effect for f in effects], read, margin),
+        valid_range=valid_range([f.effect for f in effects], read),
         measurements={s.measurement.name: s.measurement.fingerprint for s in sources},
         correlation=_correlation(fit),
     )

@@ -431,7 +431,7 @@ def completed(
     candidates: Sequence[TermCandidate],
     choice: TermChoice,
     files: int,
-    single: Sequence[frozenset[Drive]] = (),
+    single: Sequence[frozenset[Drive]],
 ) -> TermChoice:
     """A choice without the length of a ball bar, completed by what every machine has, its servos, and how it grows.
 

@@ -64,7 +64,6 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.travel import outside_travel, travel_words
 from rtec.metrology.unread import is_rotary
 from rtec.model import Model
-from rtec.model.fit import Margin
 from rtec.parallel import one_blas_thread
 from rtec.wording import listed
 
@@ -94,7 +93,6 @@ def characterise(
     wanted: AskedEffects | None = None,
     leave_out_h: float | None = None,
     name: str = "model",
-    margin: Margin | None = None,
     stage: Stage | None = None,
 ) -> Characterisation:
     """Choose the effects that the measurements show, fit them, and judge the model.
@@ -106,7 +104,6 @@ def characterise(
         wanted: the only effects to fit; None for a free choice.
         leave_out_h: hours that are held out together; by default whole runs, or 4 h where there are few runs.
         name: name of the model.
-        margin: how far the valid ranges extend beyond the readings.
         stage: progress callback, see `Stage`.
 
     Raises:
@@ -117,7 +114,7 @@ def characterise(
         fitted = _whole_fit(measurements, wanted, leave_out_h, stage)
         given, fit = fitted.given, fitted.fit
         few = _too_few_circles(given, leave_out_h) if wanted is None else None
-        made = assemble(fit, fitted.screened, fitted.choice, given, name, margin or Margin())
+        made = assemble(fit, fitted.screened, fitted.choice, given, name)
         first = [*fitted.warnings, *([few] if few else [])]
         first += [fitted.doubt] if fitted.doubt else _of_wrong_scale(made.model, given, wanted, leave_out_h)
         first += _outside_travel(given.readings.measurements)
@@ -136,7 +133,7 @@ def fitted_model(
         MeasurementError, ModelError: as `characterise`.
     """
     with one_blas_thread():
-        return model_of(_whole_fit(measurements, wanted, None, None).fit, name, Margin())
+        return model_of(_whole_fit(measurements, wanted, None, None).fit, name)
 
 
 def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
@@ -178,7 +175,7 @@ def _whole_fit(
         given, doubt = _given(measurements, leave_out_h)
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
         files = given.readings.measurements
-        begun = cooling(model_of(fit, "", Margin()), given.readings) or begun
+        begun = cooling(model_of(fit, ""), given.readings) or begun
         warm = {s.name for s in begun}
         freed = {m.name: _opened(m, "start", "settled", "unknown") for m in files if m.name in warm}
         own = {name: m for name, m in freed.items() if m is not None}
@@ -237,7 +234,7 @@ def _without_turned(
 
     try:
         fitted = _whole_fit(others, wanted, leave_out_h, None)  # none, or a channel of its model is not in a file
-        found, alone = depend(model_of(fitted.fit, "", Margin())), False
+        found, alone = depend(model_of(fitted.fit, "")), False
     except (ModelError, Fault):
         found, alone = depend(Model(turned[0].machine)), True
     if not found:
@@ -287,7 +284,7 @@ def _of_wrong_scale(model: Model, given: Clean, wanted: AskedEffects | None, lea
     for m in files[:REFERENCES]:
         try:
             there = clean([m], leave_out_h=leave_out_h).without_ends()
-            alone = model_of(_fit(there, None, wanted, leave_out_h, None)[0], "", Margin())
+            alone = model_of(_fit(there, None, wanted, leave_out_h, None)[0], "")
             predicted = floor.cleaned(readings, base_of(alone, readings).predicted)
         except (ModelError, Fault):
             continue

@@ -16,6 +16,7 @@ from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.identifiable import label
 from rtec.estimation.gram.source import Source, reads
 from rtec.estimation.gram.stream import Term
+from rtec.estimation.joint import NARROW_K
 from rtec.estimation.judge import Judgement
 from rtec.estimation.kinds import neighbour_noise
 from rtec.estimation.outliers import outlier_words
@@ -99,7 +100,6 @@ ONE = 0.005
 VISITED = 0.9
 GAP = 0.4
 """A gap between places counts as not read if it is larger than this share of the travel."""
-NARROW_K = 3.0
 FEW_BLOCKS = 8
 LITTLE_INFORMATION = 0.05
 OPPOSITE = 0.5

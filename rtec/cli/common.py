@@ -110,8 +110,6 @@ def give(
     *,
     as_json: bool,
     report: Path | None = None,
-    full: bool = True,
-    written: Mapping[str, Path | str] | None = None,
 ) -> None:
     """Write the report if a folder is named; then print the result as JSON, or its page and the paths.
 
@@ -120,8 +118,6 @@ def give(
         facts: the result for JSON; the path of the report is added to it.
         as_json: print JSON, and nothing else.
         report: folder of the report.
-        full: print all of the page, not its brief form.
-        written: paths of other written files, by their description.
     """
     from rtec.report.page import write_page
     from rtec.result import plain
@@ -131,7 +127,7 @@ def give(
     if as_json:
         print_json(plain(facts) | {"report": str(path) if path else None})
     else:
-        _show(page, path, full=full, written=written or {})
+        _show(page, path, full=True, written={})
 
 
 def show(

@@ -12,6 +12,7 @@ from rtec.cli.common import Json, print_json
 from rtec.cli.help import App
 from rtec.cli.screen import Console
 from rtec.loop.clock import Clock, RealClock
+from rtec.quantities import DAY_S
 from rtec.wording import counted
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from rtec.loop.records import Commands, Layout, Samples
 
 
-DAY_S = 86_400.0
 LONGEST = 160
 
 

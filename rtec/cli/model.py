@@ -89,7 +89,8 @@ def diagnose(
     Example: `rtec diagnose model.toml laser-x.csv drift.csv --report out/diagnosis`
 
     Tests every effect of the catalogue (`rtec effects`) on all measurements at once, against noise that drifts. It
-    names an effect only if noise alone is an unlikely cause and the error on held-out runs falls.
+    names an effect only if noise alone is an unlikely cause, its odds are 20 to 1 beyond those of finding any effect at
+    all, and the error on held-out runs falls.
     """
     from rtec import api
     from rtec.cli.common import show, stages
@@ -215,10 +216,10 @@ def improve(
 
     Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
 
-    First it refits the model's own numbers if that lowers the error on held-out runs by 2 % or more. It asks before
-    each effect, unless --yes is given, and writes the model after each step. Where it gains nothing more, it looks once
-    more, with the numbers as these readings have them. With --yes it adds the nearest effect to what has no name, or
-    its shape along the axes, if that removes most of it.
+    First it refits the model's own numbers if that lowers the error on held-out runs by 2 % or more, or clearly beyond
+    slow drift. It asks before each effect, unless --yes is given, and writes the model after each step. Where it
+    gains nothing more, it looks once more, with the numbers as these readings have them. With --yes it adds the nearest
+    effect to what has no name, or its shape along the axes, if that removes most of it.
     """
     from rtec import api
     from rtec.cli.common import interruptible, kept, show, stages

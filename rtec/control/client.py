@@ -373,29 +373,39 @@ def relay(path: Path, name: str, role: Role, source: int = 0, sink: int = 1) -> 
     with socket.socket(socket.AF_UNIX) as daemon, selectors.DefaultSelector() as ready:
         try:
             daemon.connect(str(path))
-            daemon.sendall(request("as", 0, name=name, role=role) + b"\n")
-            heard = b""
-            while not heard.endswith(b"\n"):  # the client does not see this answer
-                if not (byte := daemon.recv(1)):
-                    raise RtecError(f"{path}: the daemon hung up")
-                heard += byte
-            answered = read_answer(heard)
-            if why := answered.get("error") or answered.get("refused"):
-                raise RtecError(f"--name {name!r} --role {role}: {why}")
+            _greet(daemon, path, name, role)
             ready.register(source, selectors.EVENT_READ)
             ready.register(daemon, selectors.EVENT_READ)
-            while True:
-                for key, _ in ready.select():
-                    if key.fileobj is not daemon:
-                        if data := os.read(source, CHUNK_BYTES):
-                            daemon.sendall(data)
-                        else:  # the client has sent all its requests; the answers are still to come
-                            ready.unregister(source)
-                            daemon.shutdown(socket.SHUT_WR)
-                    elif data := daemon.recv(CHUNK_BYTES):
-                        while data:
-                            data = data[os.write(sink, data) :]
-                    else:
-                        return
+            while all(_copied(daemon, key.fileobj, ready, source, sink) for key, _ in ready.select()):
+                pass
         except (OSError, RequestError) as e:
             raise RtecError(f"{path}: {e}") from e
+
+
+def _greet(daemon: socket.socket, path: Path, name: str, role: Role) -> None:
+    """Give name and role; the client does not see the answer."""
+    daemon.sendall(request("as", 0, name=name, role=role) + b"\n")
+    heard = b""
+    while not heard.endswith(b"\n"):
+        if not (byte := daemon.recv(1)):
+            raise RtecError(f"{path}: the daemon hung up")
+        heard += byte
+    answered = read_answer(heard)
+    if why := answered.get("error") or answered.get("refused"):
+        raise RtecError(f"--name {name!r} --role {role}: {why}")
+
+
+def _copied(daemon: socket.socket, ready: object, selector: selectors.BaseSelector, source: int, sink: int) -> bool:
+    """Copy what is ready; False once the daemon has ended."""
+    if ready is not daemon:
+        if data := os.read(source, CHUNK_BYTES):
+            daemon.sendall(data)
+        else:  # the client has sent all its requests; the answers are still to come
+            selector.unregister(source)
+            daemon.shutdown(socket.SHUT_WR)
+        return True
+    data = daemon.recv(CHUNK_BYTES)
+    rest = data
+    while rest:
+        rest = rest[os.write(sink, rest) :]
+    return bool(data)

@@ -386,8 +386,8 @@ def correct_capture(
     z: Bytes | None,
     settings: InsertionSettings,
     *,
-    target_at: ArrayLike = (),
-    target_counts: ArrayLike = (),
+    target_at: ArrayLike,
+    target_counts: ArrayLike,
 ) -> tuple[Corrected, PulseInserter]:
     """Correct a whole record, without the latency: element n of every line belongs to raw sample n.
 

@@ -226,7 +226,7 @@ def decode(samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None = 
 
 
 def transitions(
-    samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None = None
+    samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None
 ) -> tuple[Ints, Deltas, DecoderState | None]:
     """Every transition in order; arguments and errors as for `decode`.
 

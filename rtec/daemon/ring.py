@@ -219,15 +219,12 @@ class Ring:
 
     @cached_property
     def slots(self) -> list[tuple[Samples, Commands]]:
-        """One-row views of every slot; the first use makes them all (tens of ms), so call it before the loop starts."""
-        return list(zip(self._samples.singles(), self._commands.singles(), strict=True))
+        """One-row views of every slot; the first use makes them all (tens of ms), so call it before the loop starts.
 
-    def slot(self, row: int) -> tuple[Samples, Commands]:
-        """Views into the memory of a row; the producer fills *every* field of row `head`, then publishes it.
-
-        Before that, it holds the row of `capacity` cycles ago.
+        The producer fills *every* field of row `head`, in slot `head % capacity`, then publishes it. Before that, the
+        slot holds the row of `capacity` cycles ago.
         """
-        return self.slots[row % self.capacity]
+        return list(zip(self._samples.singles(), self._commands.singles(), strict=True))
 
     def publish(self) -> int:
         """Pass row `head` to the consumer; give the number of the next row."""

@@ -140,7 +140,7 @@ class LoopSide:
         return (self.commands.flags & HOLD_REASONS) != 0
 
 
-def uncorrected(machine: Machine, truth: Truth, seed: int, plan: Plan, progress: Progress | None = None) -> Track:
+def uncorrected(machine: Machine, truth: Truth, seed: int, plan: Plan) -> Track:
     """The day without correction, and without the loop."""
     sim = SimulatedMachine(machine, truth, seed)
     book = Book(sim)
@@ -157,8 +157,6 @@ def uncorrected(machine: Machine, truth: Truth, seed: int, plan: Plan, progress:
             second_ns = (sim.time_ns // NS + 1) * NS
             for until_ns in (second_ns - EVERY_NS, second_ns):
                 book.write(sim.record_to(until_ns, EVERY_NS), True, none)
-        if progress:
-            progress(book.part + 1, plan.cuts)
     return book.track()
 
 

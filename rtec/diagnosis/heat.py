@@ -15,12 +15,12 @@ from rtec.estimation.candidates import real
 from rtec.estimation.flexible import flexible_columns
 from rtec.estimation.gls import Fit, without_runs
 from rtec.estimation.judge import Judgement
-from rtec.estimation.noise import Whitener, minutes, noise_on_stretches
+from rtec.estimation.noise import Whitener, noise_on_stretches
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.warmth import SENSOR_S, expands_much
 from rtec.metrology.instruments.laser import LaserLinear
 from rtec.model import FittedEffect
-from rtec.wording import ERROR_UNITS, listed, number, significant
+from rtec.wording import ERROR_UNITS, duration, listed, number, significant
 
 Floats = NDArray[np.float64]
 
@@ -85,10 +85,10 @@ def lag_assumed(readings: Readings, effect: Effect, theta: Mapping[str, float]) 
     if "tau" not in theta or not names:
         return ()
     pause = max(float(np.diff(s.time_s).max(initial=0.0)) for s in readings.series)
-    text = f"{effect.effect} lags by {minutes(theta['tau'])}: {' and '.join(names)} counted as settled before the first"
-    text += " reading"
+    lags = f"{effect.effect} lags by {duration(theta['tau'])}"
+    text = f"{lags}: {' and '.join(names)} counted as settled before the first reading"
     if pause > max(PAUSE_S, LONG_PAUSE * theta["tau"]):
-        text += f", and as a straight line over pauses (up to {minutes(pause)}), of which the record says nothing"
+        text += f", and as a straight line over pauses (up to {duration(pause)}), of which the record says nothing"
     return (text,)
 
 
@@ -321,7 +321,7 @@ def _grows_and_falls(readings: Readings, s: Series, slow: float, memory_s: float
     m = readings.measurements[s.source]
     message = (
         f"{m.name} {s.column} grows and falls by {number(slow)} {ERROR_UNITS.get(s.unit, s.unit)} with a memory of "
-        f"{minutes(memory_s)}: slow, and unexplained by anything recorded."
+        f"{duration(memory_s)}: slow, and unexplained by anything recorded."
     )
     return Doubt("no_temperature", message, _to_record(readings, s), fatal=True)
 

@@ -13,13 +13,13 @@ from rtec.diagnosis.result import REFIT, Alike, Diagnosis, Finding, Member
 from rtec.effects import Effect
 from rtec.effects.time_data import MissedCounts
 from rtec.estimation.joint import ChangedNumber
-from rtec.estimation.noise import minutes
 from rtec.estimation.warmth import Warmer
 from rtec.model import FittedEffect
 from rtec.wording import (
     ERROR_UNITS,
     NONE,
     counted,
+    duration,
     listed,
     number,
     percent,
@@ -139,7 +139,7 @@ def of_changes(changed: Sequence[ChangedNumber]) -> str:
 def _moved(c: ChangedNumber) -> str:
     pair = f"{' to '.join(two_numbers(c.was, c.now))} {spoken(c.unit)}"
     if c.unit == "s":
-        pair = f"{minutes(c.was)} to {minutes(c.now)}"
+        pair = f"{duration(c.was)} to {duration(c.now)}"
     moved, off = f"{c.effect} {c.name} from {pair}", c.misread
     if off is None or off.shown:
         return moved
@@ -645,7 +645,7 @@ def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect])
         parts = [
             f"{n} {significant(f.theta[n])}"
             if n != "tau"
-            else f"{minutes(f.theta[n])} late"
+            else f"{duration(f.theta[n])} late"
             if f.theta[n]
             else "at once"
             for n in ends

@@ -91,13 +91,13 @@ def group_of(device: str) -> str:
         return ""
 
 
-def latency_ms(device: str, root: Path = ROOT) -> int | None:
+def latency_ms(device: str, root: Path) -> int | None:
     """Time for which a USB adapter holds bytes to send more at once, ms; None where it is unknown."""
     text = text_of(root / "sys/bus/usb-serial/devices" / Path(os.path.realpath(device)).name / "latency_timer")
     return int(text) if text.isdigit() else None
 
 
-def can_state(channel: str, root: Path = ROOT) -> str:
+def can_state(channel: str, root: Path) -> str:
     """State of a CAN interface of the kernel: "up", "down", …; "" where it does not exist."""
     place = root / "sys/class/net" / channel
     if not place.exists():

@@ -23,6 +23,7 @@ import numpy as np
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
 from rtec.tomlfile import nearest
+from rtec.wording import counted
 
 MAX_LENGTH = 2000
 MAX_DEPTH = 60
@@ -124,7 +125,7 @@ def _check_call(name: str, call: ast.Call) -> None:
         raise ValueError(f"{name} takes arguments without names")
     count = 2 if name == "lag" else FUNCTIONS[name][0]
     if len(call.args) != count:
-        raise ValueError(f"{name} takes {count} argument{'s' if count > 1 else ''}, not {len(call.args)}")
+        raise ValueError(f"{name} takes {counted(count, 'argument')}, not {len(call.args)}")
 
 
 def evaluate(node: ast.expr, names: Mapping[str, Value], channels: Channels) -> Value:

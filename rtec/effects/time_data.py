@@ -13,8 +13,8 @@ import numpy as np
 from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
+from rtec.quantities import DAY_S
 
-DAY_S = 86400.0
 LONG_ENOUGH_S = 0.9 * DAY_S
 
 

@@ -36,7 +36,7 @@ TAKES = 0.5
 NEAR = 1.25
 """With them the residual is within this factor of the noise floor."""
 AS_GOOD = 1.1
-"""A new number does as well if its residual is within this factor."""
+"""An explanation does as well as another if its residual is within this factor."""
 FEWEST = 8
 """Readings for each number of the refit, at least."""
 

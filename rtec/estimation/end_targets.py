@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.estimation.readings import Readings, Series
 from rtec.machine import Axis
 from rtec.wording import ERROR_UNITS, significant
@@ -38,7 +39,6 @@ MANY, LEAST = 10, 1e-3
 """The mean of a target is never taken as more accurate than that of this many runs, or this share of the readings."""
 STEP, STILL_MM = 0.25, 0.05
 """Positions within this share of the usual step are one target; an axis that moves less is at rest."""
-SIGMA_PER_MAD = 1.4826
 
 NEXT = (
     "look whether something touches there (a clamp, an end stop, the probe); read that end again at several targets "
@@ -151,7 +151,7 @@ def _off_curve(u: Floats, table: Floats) -> Floats:
     n, best = len(u), np.zeros(len(u))
     level = _levelled(u, table)
     mean = np.nanmedian(level, axis=0)
-    scatter = SIGMA_PER_MAD * float(np.median(np.nanmedian(np.abs(level - mean), axis=0)))
+    scatter = robust_sigma(np.nanmedian(np.abs(level - mean), axis=0))
     least = max(scatter / np.sqrt(min(len(level), MANY)), LEAST * float(np.ptp(mean)), 1e-9)
     smooth = min(c.predicts for c in _curves(u, mean, np.arange(n), least))
     for low, high in itertools.product(range(ENDS + 1), repeat=2):

@@ -1,6 +1,7 @@
 """Generalised least squares with a noise estimated in the same fit, and the error on held-out runs."""
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -8,13 +9,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.held_out import STILL_MM
 from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import Whitener, log_likelihood, refine
 from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
 
-STILL_MM = 1e-3
 ROUNDS = 3
 NOTHING = 1e-100
 """A column of a smaller norm is rounding, and its square would underflow."""
@@ -49,16 +50,13 @@ class Fit:
         return inverse(self.whitener(self.columns))
 
 
-def fit_columns(
-    whitener: Whitener, columns: Floats, rounds: int = ROUNDS, steps: int = STEPS, values: Floats | None = None
-) -> Fit:
+def fit_columns(whitener: Whitener, columns: Floats, rounds: int = ROUNDS, values: Floats | None = None) -> Fit:
     """Fit columns and noise in turn.
 
     Args:
         whitener: an approximate noise to start with.
         columns: (m, p).
         rounds: number of noise estimates.
-        steps: evaluations of each noise search, for each series.
         values: coefficients under the first noise, (p,); None where they are unknown.
     """
     readings, now = whitener.readings, whitener
@@ -67,10 +65,15 @@ def fit_columns(
         white = now(whole)
         values = solve(white[:, :-1], white[:, -1])
     for _ in range(rounds):
-        now = refine(now, readings.values - columns @ values, steps)
+        now = refine(now, readings.values - columns @ values, STEPS)
         white = now(whole)
         values = solve(white[:, :-1], white[:, -1])
     return Fit(now, columns, values, log_likelihood(now, white[:, -1] - white[:, :-1] @ values))
+
+
+def bic_cost(numbers: int, readings: float) -> float:
+    """Cost of numbers in log evidence: half the Bayesian information criterion's (Schwarz 1978)."""
+    return 0.5 * numbers * math.log(readings)
 
 
 def solve(columns: Floats, values: Floats) -> Floats:
@@ -294,17 +297,17 @@ def without_nuisance(readings: Readings, left: Floats) -> Floats:
     return out
 
 
-def without_runs(series: Series, columns: Floats) -> Floats:
-    """Columns of one series less the unknowns of each run, (n,) or (n, p)."""
+def without_runs(series: Series, columns: Floats, weight: Floats | None = None) -> Floats:
+    """Columns of one series less the unknowns of each run, (n,) or (n, p), by least squares, weighted by (n,)."""
     if not series.nuisance.shape[1]:
         return columns.copy()
     edges = np.concatenate([[0], np.flatnonzero(np.diff(series.run)) + 1, [len(series)]])
+    each = (np.ones(len(series)) if weight is None else weight).reshape(-1, *[1] * (columns.ndim - 1))
     if series.nuisance.shape[1] == 1 and not np.ptp(series.nuisance):
-        size = np.diff(edges).astype(np.float64)
-        means = np.add.reduceat(columns, edges[:-1], axis=0) / (size if columns.ndim == 1 else size[:, None])
+        means = np.add.reduceat(columns * each, edges[:-1], axis=0) / np.add.reduceat(each, edges[:-1], axis=0)
         return np.asarray(columns - means[series.run])
-    out = columns.copy()
+    out, roots = columns.copy(), np.sqrt(each)
     for a, b in itertools.pairwise(edges):
-        own = series.nuisance[a:b]
-        out[a:b] -= own @ np.linalg.lstsq(own, out[a:b], rcond=None)[0]
+        own, root = series.nuisance[a:b], roots[a:b]
+        out[a:b] -= own @ np.linalg.lstsq(own * root.reshape(-1, 1), out[a:b] * root, rcond=None)[0]
     return out

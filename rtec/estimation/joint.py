@@ -19,7 +19,7 @@ from rtec.effects.geometry import Scale
 from rtec.effects.reversal import Backlash, BacklashTemperature
 from rtec.effects.thermal import AxisExpansion
 from rtec.errors import MeasurementError, ModelError
-from rtec.estimation.changed_delay import Delays, changed_delays, with_delays
+from rtec.estimation.changed_delay import FAR, Delays, changed_delays, with_delays
 from rtec.estimation.columns import slope
 from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gls import HeldOut, along_runs, held_out, inverse, solve
@@ -41,10 +41,10 @@ LOOSE = 30.0
 """Standard errors that a number may move freely where the same readings are fitted again."""
 LOOSENESS = (2.0, 4.0, 8.0, 16.0, 30.0, 100.0, 300.0, 1e3, 1e4, 1e5)
 """Standard errors that the numbers of a changed effect may move, to choose from."""
-CHANGED, FAR = 6.0, 3.5
-"""The numbers of an effect have changed where twice the logarithm of the evidence rises by the first, which are odds of
-20 to 1, and one of them moves by the second in standard errors, under noise that may drift; by more where few runs
-determine it, as of Student's distribution."""
+CHANGED = 6.0
+"""The numbers of an effect have changed where twice the logarithm of the evidence rises by this (odds of 20 to 1), and
+one of them moves by `FAR` in standard errors, under noise that may drift; by more where few runs determine it, as of
+Student's distribution."""
 ENOUGH_RUNS, MOST = 6, 0.5
 """So many runs say how sure a number is, where its change leaves less than this share of the mean square."""
 ONE_TEMPERATURE_K, NARROW_K = 1.0, 3.0
@@ -247,7 +247,6 @@ def joint_fit(
     effects: Sequence[FittedEffect],
     readings: Readings,
     *,
-    search: bool = True,
     earlier: Model | None = None,
     least: tuple[float, ...] = (),
 ) -> Joint:
@@ -256,7 +255,6 @@ def joint_fit(
     Args:
         effects: with the numbers to start from; a new one with `errors` empty and coefficients zero.
         readings: all readings, with the channels that the loop has.
-        search: also refit non-linear parameters.
         earlier: the model as other readings determined it, whose effects are the first ones: these readings refine its
             numbers. All other effects were fitted to these readings.
         least: smallest white noise of each series, as `least_noise` gives it; empty for none.
@@ -264,10 +262,10 @@ def joint_fit(
     Raises:
         MeasurementError: a channel that an effect needs was not recorded.
     """
-    refit = search and earlier is not None and len(effects) == len(earlier.effects)
-    delays = changed_delays(earlier, readings) if refit and earlier is not None else {}
+    only_refined = earlier is not None and len(effects) == len(earlier.effects)
+    delays = changed_delays(earlier, readings) if earlier and only_refined else {}
     work = _Work([f.effect for f in effects], readings, effects, earlier, delays=delays)
-    free = _free(effects, readings) if search else []
+    free = _free(effects, readings)
     made = _refereed(work, free, least)
     if len(work.parts) == len(work.followed):
         return made

@@ -9,11 +9,11 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
 
-SIGMA_PER_MAD = 1.4826
 QUANTISED = 0.005
 """The noise between neighbours is at least this share of the residual: quantised readings are mostly equal."""
 
@@ -34,9 +34,9 @@ def spreads(readings: Readings, values: Floats) -> Floats:
 def neighbour_noise(left: Floats, run: NDArray[np.int64]) -> float:
     """Robust noise of residuals, (n,), from how each differs from the middle of its neighbours in its run."""
     size = float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
-    bend = np.abs(left[1:-1] - 0.5 * (left[:-2] + left[2:]))[run[2:] == run[:-2]]
+    bend = (left[1:-1] - 0.5 * (left[:-2] + left[2:]))[run[2:] == run[:-2]]
     bend = bend[np.isfinite(bend)]
-    quick = max(SIGMA_PER_MAD * float(np.median(bend)) / np.sqrt(1.5), QUANTISED * size) if len(bend) else size
+    quick = max(robust_sigma(bend) / np.sqrt(1.5), QUANTISED * size) if len(bend) else size
     return float(max(quick, 1e-12))
 
 

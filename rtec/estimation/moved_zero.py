@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
@@ -28,11 +29,11 @@ LEAST, EVEN = 10.0, 0.7
 """The jump is this percentile of the changes at all places, and at least this share of their median: heat moves the
 places by different amounts, a zero moves all equally."""
 NOISE, USUAL, OTHERS = 10.0, 5.0, 4.0
-"""A jump is at least this many times the scatter of a change at one place, this many times the usual step of the other
-runs, and makes the run this many times farther from both neighbouring runs than any other run is from its own."""
+"""A jump is at least `NOISE` times the scatter of a change at one place, and `USUAL` times the usual step of the other
+runs. It makes the run `OTHERS` times farther from both neighbouring runs than any other run is from its own."""
 QUIET, CHANCE = 4.0, 1e-5
-"""Or this many times the scatter of a change at one place, if steps like those of the other runs are that large with
-this probability: few steps say less about the others."""
+"""Or a jump is `QUIET` times that scatter, if steps like those of the other runs are so large with the probability
+`CHANCE`. Few steps say less about the others."""
 SURE = 1.253
 """Standard error of the median of normal values, over that of their mean."""
 VISIBLE = 0.75
@@ -153,7 +154,7 @@ class _Changes:
         order = np.argsort(self.after, kind="stable")
         runs = np.split(values[order], np.flatnonzero(np.diff(self.after[order])) + 1)
         apart = [v - np.median(v) for v in runs if len(v) >= FEW_PLACES]
-        return 1.4826 * float(np.median(np.abs(np.concatenate(apart)))) if apart else 0.0
+        return robust_sigma(np.concatenate(apart)) if apart else 0.0
 
     def cold(self, values: Floats) -> Floats:
         """Values without what goes with the temperatures, (pairs,)."""
@@ -240,7 +241,7 @@ def _stands_out(changes: _Changes, jump: _Jump) -> bool:
     steps = {k: float(np.median(d)) for k, d in enumerate(moved) if len(d) >= FEW_PLACES}
     if not steps:
         return False
-    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([moved[k] - m for k, m in steps.items()]))))
+    scatter = robust_sigma(np.concatenate([moved[k] - m for k, m in steps.items()]))
     into, back = jump.holds(after) & outside, jump.holds(before) & outside
     own = _apart(_all_alike(change[into]), _all_alike(-change[back]))
     mine = set(range(jump.first, jump.last + 1))

@@ -14,9 +14,10 @@ from typing import Any, Concatenate, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_scatter
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_sums, gains, innovations
-from rtec.wording import ERROR_UNITS, significant
+from rtec.wording import ERROR_UNITS, duration, significant
 
 Floats = NDArray[np.float64]
 P = ParamSpec("P")
@@ -68,17 +69,10 @@ class Noise:
         drift, offset = self.sigma * math.sqrt(self.drift), self.sigma * math.sqrt(self.offset)
         text = f"{name}: white noise {significant(self.sigma, 2)} {u}"
         if drift > 0.2 * self.sigma:
-            text += f", drift {significant(drift, 2)} {u} with a memory of {minutes(self.tau_s)}"
+            text += f", drift {significant(drift, 2)} {u} with a memory of {duration(self.tau_s)}"
         if offset > 0.2 * self.sigma:
             text += f", offset from run to run {significant(offset, 2)} {u}"
         return text
-
-
-def minutes(seconds: float) -> str:
-    """A duration in words."""
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 @dataclass(frozen=True)
@@ -268,8 +262,7 @@ def _run_variance(series: Series, y: Floats) -> Floats:
 def _roughness(series: Series, y: Floats) -> float:
     """White noise from the differences of neighbouring readings of a run."""
     step = np.diff(y)[np.diff(series.run) == 0]
-    robust = 1.4826 * float(np.median(np.abs(step - np.median(step)))) / math.sqrt(2.0) if len(step) else 0.0
-    return max(robust, 0.01 * float(np.std(y)), 1e-9)
+    return max(robust_scatter(step) / math.sqrt(2.0), 0.01 * float(np.std(y)), 1e-9)
 
 
 def _orthonormal(columns: Floats) -> Floats:

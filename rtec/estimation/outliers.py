@@ -20,9 +20,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import SIGMA_PER_MAD, robust_scatter, robust_sigma
 from rtec.estimation.end_targets import EndTargets, end_targets
 from rtec.estimation.flexible import smooth_columns
-from rtec.estimation.gls import solve
+from rtec.estimation.gls import solve, without_runs
+from rtec.estimation.held_out import STILL_MM
 from rtec.estimation.readings import Readings, Series, read, row_codes
 from rtec.estimation.visible import same_place_mm
 from rtec.jit import njit
@@ -61,8 +63,7 @@ REACH = 5
 AROUND, SHORT = 21, 14
 QUARTILE, QUARTILE_SIGMA = 0.75, 1.1503
 """Readings around one that give the local noise level, by their third quartile: bursts are fewer."""
-SIGMA_PER_MAD, SMALL = 1.4826, 0.02
-STILL_MM = 1e-3
+SMALL = 0.02
 EVEN = 0.01
 """Share of a step of the display by which readings may miss its multiples: files hold rounded numbers."""
 TOLD = 12
@@ -200,7 +201,7 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     rough = _rough(readings, s, values, linked)
     flat = values if still else _without_slopes(readings, s, values)
     rough, flat = (r - _of_visits(r, place) for r in (rough, flat))
-    spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
+    spread = robust_scatter(values)
     least = max(SMALL * spread, HALF * _display_step(values), 1e-9)
     off, (wrong, far, before) = np.zeros(n), (np.zeros(n, dtype=bool) for _ in range(3))
     kinds = [(rough, _Kind(REACH, 1, BURST)), (rough, _Kind(LONG_REACH, 2, LONG_BURST))]
@@ -209,7 +210,7 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
         for _ in range(ROUNDS):
             known = np.where(wrong, np.nan, seen)
             off = seen - neighbours(known, seen, linked, kind.reach)
-            sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), least)
+            sigma = max(robust_sigma(off), least)
             found = _bursts(off, known, _sigmas(off, sigma, s.run, wrong, kind), linked, near, still, kind)
             if seen is flat:
                 found &= _sets_off(rough, off, found)
@@ -308,14 +309,14 @@ def _rough(readings: Readings, s: Series, values: Floats, linked: Ints) -> Float
     columns = np.zeros((len(s), 0))
     if len(s) <= MANY:
         columns = smooth_columns(readings, s)
-    sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), 1e-12)
+    sigma = max(robust_sigma(off), 1e-12)
     weight = 1.0 / (1.0 + (off / (NEAR * sigma)) ** 2)
     out = values
     for _ in range(ROUNDS):
         root = np.sqrt(weight)[:, None]
         flat = _without_runs(s, np.concatenate([columns, values[:, None]], axis=1), weight)
         out = flat[:, -1] - flat[:, :-1] @ solve(flat[:, :-1] * root, flat[:, -1] * root[:, 0])
-        sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(out))), 1e-12)
+        sigma = max(robust_sigma(out), 1e-12)
         weight = 1.0 / (1.0 + (out / (NEAR * sigma)) ** 2)
     return out
 
@@ -369,15 +370,7 @@ def _without_runs(s: Series, columns: Floats, weight: Floats) -> Floats:
     """Columns less the unknowns of each run, by weighted least squares, (n, p); without unknowns, less their mean."""
     if not s.nuisance.shape[1]:
         return np.asarray(columns - weight @ columns / weight.sum())
-    out = columns.copy()
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(s.run)) + 1, [len(s)]])
-    if s.nuisance.shape[1] == 1 and not np.ptp(s.nuisance):
-        total = np.add.reduceat(columns * weight[:, None], edges[:-1], axis=0)
-        return np.asarray(out - (total / np.add.reduceat(weight, edges[:-1])[:, None])[s.run])
-    for a, b in itertools.pairwise(edges):
-        own, root = s.nuisance[a:b], np.sqrt(weight[a:b])[:, None]
-        out[a:b] -= own @ np.linalg.lstsq(own * root, out[a:b] * root, rcond=None)[0]
-    return out
+    return without_runs(s, columns, weight)
 
 
 def _of_visits(rough: Floats, place: Ints) -> Floats:

@@ -11,7 +11,8 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.estimation.kinds import SIGMA_PER_MAD, alike, neighbour_noise
+from rtec.arrays import robust_sigma
+from rtec.estimation.kinds import alike, neighbour_noise
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -43,8 +44,7 @@ def sigmas(kinds: Sequence[Hashable], left: Sequence[Floats], runs: Sequence[Int
 def _sigma(left: Floats) -> float:
     if not len(left):
         return SMALLEST
-    robust = SIGMA_PER_MAD * float(np.median(np.abs(left)))
-    return max(robust, LEAST_SHARE * float(np.sqrt(np.mean(left**2))), SMALLEST)
+    return max(robust_sigma(left), LEAST_SHARE * float(np.sqrt(np.mean(left**2))), SMALLEST)
 
 
 def huber(left: Floats, sigma: float) -> Floats:

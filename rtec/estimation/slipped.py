@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rtec.arrays import robust_scatter
 from rtec.estimation.candidates import REAL, real
 from rtec.estimation.moved_zero import MovedZero
 from rtec.estimation.readings import Readings, Series
@@ -48,7 +49,7 @@ def _jump(readings: Readings, s: Series) -> tuple[int, float] | None:
     steps = np.diff(readings.values[s.part])
     at = int(np.argmax(np.abs(steps)))
     by, others = float(steps[at]), np.delete(steps, at)
-    usual = 1.4826 * float(np.median(np.abs(others - np.median(others))))
+    usual = robust_scatter(others)
     if abs(by) < max(NOISE * usual, OTHERS * float(np.abs(others).max())):
         return None
     if s.time_s[at + 1] - s.time_s[at] > GAP * s.pace_s[1]:

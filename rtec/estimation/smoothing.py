@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.jit import njit
 
 Floats = NDArray[np.float64]
@@ -82,7 +83,7 @@ def noise_of(value: Floats) -> float:
     bend = value[1:-1] - 0.5 * (value[:-2] + value[2:])
     steps: Floats = np.unique(np.round(np.abs(np.diff(value)), 9))
     quantum = float(steps[1]) if len(steps) > 1 and steps[0] == 0.0 else 0.0
-    return float(max(1.4826 * np.median(np.abs(bend)) / np.sqrt(1.5), QUANTUM * quantum, 1e-12))
+    return float(max(robust_sigma(bend) / np.sqrt(1.5), QUANTUM * quantum, 1e-12))
 
 
 def _likeliest(curves: Sequence[tuple[Floats, Floats]]) -> float:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
@@ -49,14 +50,12 @@ class TwoLevels:
     Attributes:
         series: number of the series.
         high: which runs are at the higher level, (runs,).
-        gap: between the levels, in the unit of the readings.
         readings: what the levels make of each reading, zero in other series, (m,).
         message: in words.
     """
 
     series: int
     high: NDArray[np.bool_]
-    gap: float
     readings: Floats
     message: str
 
@@ -88,7 +87,7 @@ def _of(readings: Readings, number: int, left: Floats) -> TwoLevels | None:
     if any(len(v) < FEW_PLACES for v in values):
         return None
     heights = np.array([np.median(v) for v in values])
-    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([v - h for v, h in zip(values, heights, strict=True)]))))
+    scatter = robust_sigma(np.concatenate([v - h for v, h in zip(values, heights, strict=True)]))
     high, ratio = _split(heights)
     if not high.any():
         return None
@@ -109,7 +108,7 @@ def _of(readings: Readings, number: int, left: Floats) -> TwoLevels | None:
         f"agree within {significant(float(within), 1)} at each; {named} are higher. Nothing that was recorded "
         "separates them."
     )
-    return TwoLevels(number, high, gap, out, message)
+    return TwoLevels(number, high, out, message)
 
 
 def _apart_from_others(readings: Readings, s: Series, left: Floats) -> Floats:

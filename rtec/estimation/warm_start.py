@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from rtec.effects import State
 from rtec.estimation import floor
 from rtec.estimation.candidates import simple_effects
+from rtec.estimation.changed_delay import AS_GOOD
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
-from rtec.estimation.noise import minutes
 from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect, Model
-from rtec.wording import listed
+from rtec.wording import duration, listed
 
 Floats = NDArray[np.float64]
 
@@ -34,8 +34,6 @@ SOON, FEWEST = 0.25, 3
 FARTHEST, RATES = 3.0, 10.0
 """Most that a body is away from its sensor at the first reading: in spans of the sensor within the record, and in what
 the sensor would change in a delay at its first rate."""
-AS_GOOD = 1.1
-"""A simple cause does as well if its residual is within this factor."""
 START = "start "
 """So begin the names of the unknowns among those of the set-up."""
 STEP = "Begin records while the machine rests, before spindle and axes run."
@@ -61,7 +59,7 @@ def in_words(starts: Sequence[WarmStart], assumed: str) -> str:
     effects = listed(list(dict.fromkeys(f"{f.effect.effect}({f.effect.component})" for f in late)))
     begin, it = ("begins", "it") if len(starts) == 1 else ("begin", "they")
     lag, state = ("lag by up to", "their states") if len(late) > 1 else ("lags by", "its state")
-    longest = minutes(max(f.theta["tau"] for f in late))
+    longest = duration(max(f.theta["tau"] for f in late))
     return (
         f"{listed([s.name for s in starts])} {begin} while the machine is warm ({sensors}). {effects} {lag} {longest}; "
         f"{state} when {it} {begin} cannot be known from the temperatures, and {assumed}."

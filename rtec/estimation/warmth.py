@@ -180,12 +180,12 @@ def misread(model: Model, readings: Readings, effect: Effect, change: float) -> 
 SENSOR_S = 300.0
 """No sensor of a machine is later than its part by more, s."""
 SHARED = 0.25
-"""The sum of what several temperatures make of one expansion stays what the day of the fit showed, and none of them
-grows beside another one, but for this share or `SURER` standard errors."""
+"""An expansion by several temperatures may differ from what the day of the fit showed by this share, or by `SURER`
+standard errors. So may what each of them makes of it."""
 SURER = 3.0
 
 
-def otherwise_on_the_day_of_the_fit(model: Model, after: Model) -> tuple[str, ...]:
+def differs_from_fit_day(model: Model, after: Model) -> tuple[str, ...]:
     """Axes that would have expanded otherwise than a model found it on the day of its fit, in words.
 
     A further temperature may share an expansion with those before. Where all of them warm as they did then, their sum

@@ -208,8 +208,3 @@ def chunks(log: Log) -> Iterator[list[Block]]:
             waiting, n = [], 0
     if waiting:
         yield waiting
-
-
-def first_line(error: BaseException) -> str:
-    """First line of a library's message, without its details."""
-    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rtec.errors import LogError
+from rtec.errors import LogError, first_line
 from rtec.log.format import (
     CHUNK_ROWS,
     FORMAT_VERSION,
@@ -27,7 +27,6 @@ from rtec.log.format import (
     chunks,
     columns_of,
     element_names,
-    first_line,
     flat_names,
     flatten,
     read_layout,

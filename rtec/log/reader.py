@@ -18,8 +18,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from rtec.errors import LogError
-from rtec.log.format import END_MARK, Log, check_columns, first_line, read_layout, read_metadata
+from rtec.errors import LogError, first_line
+from rtec.log.format import END_MARK, Log, check_columns, read_layout, read_metadata
 from rtec.log.packed import PACKED, PackedReader
 from rtec.loop.records import Commands, Field, Samples
 

@@ -235,7 +235,7 @@ class Recording:
         """Put all rows on disk."""
         self._try(lambda w: w.flush())
         if self.clock.now_ns() >= self._retry_ns:
-            self._tell_that_it_goes_on()
+            self._report_resumed()
 
     def cut(self, begin: Begin) -> None:
         """Begin a new file at that row, which is still to come."""
@@ -251,7 +251,7 @@ class Recording:
     def close(self) -> None:
         """End the last file."""
         self._try(lambda w: w.flush())
-        self._tell_that_it_goes_on()
+        self._report_resumed()
         self._try(lambda w: w.close())
         self._writer = None
 
@@ -275,7 +275,7 @@ class Recording:
         self._change(Begin(row, {"first_row": str(row), "rows_lost_before": str(lost_rows)}))
         self._inexact = True
 
-    def _tell_that_it_goes_on(self) -> None:
+    def _report_resumed(self) -> None:
         """Report it some time after the first rows: an almost full disk would else cause a report every few seconds."""
         if self._goes_on and self._writer is not None and self._writer.rows:
             self.warnings.append(self._goes_on)

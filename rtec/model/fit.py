@@ -25,6 +25,9 @@ class Margin:
     least_degc: float = 2.0
 
 
+MARGIN = Margin()
+
+
 @dataclass(frozen=True)
 class SearchScale:
     """Maps a parameter's bounds to 0 … 1, linearly or logarithmically."""
@@ -54,7 +57,7 @@ class SearchScale:
 
 
 def valid_range(
-    effects: Sequence[Effect], read: Sequence[tuple[State, NDArray[np.int64]]], margin: Margin
+    effects: Sequence[Effect], read: Sequence[tuple[State, NDArray[np.int64]]], margin: Margin = MARGIN
 ) -> dict[str, tuple[float, float]]:
     """Valid range of every channel that the effects read: its range in the readings, with the margin.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, as_png, canvas, stacked
+from rtec.report.figures import GREY, LINES, MOST_DOTS, OFF, ON, WIDTH_IN, as_png, canvas, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -157,7 +157,7 @@ def _scale(largest: float) -> float:
 ACROSS = 2
 """Number of panels beside each other."""
 PANEL_IN = 2.7
-SHADE, MOST_DOTS = "#ECECEC", 4000
+SHADE = "#ECECEC"
 
 
 @as_png

@@ -100,8 +100,8 @@ def over_channel(
     shade: tuple[str, Floats] | None = None,
     *,
     predicted: Floats | None = None,
-    marked: Ints | None = None,
-    zoom: Zoom = WHOLE,
+    marked: Ints | None,
+    zoom: Zoom,
 ) -> "MplFigure":
     """The residual of each reading over any channel, coloured by direction or by another channel.
 

@@ -25,7 +25,7 @@ from rtec.effects import Effect
 from rtec.effects.effect_list import as_options, as_text
 from rtec.model import FittedEffect
 from rtec.report.evidence import Amplitudes, Evidence, evidence
-from rtec.report.figures import GREY, OFF, ON, WHOLE, Zoom, as_png, canvas, room_above, stacked, zoomed
+from rtec.report.figures import GREY, MOST_DOTS, OFF, ON, WHOLE, Zoom, as_png, canvas, room_above, stacked, zoomed
 from rtec.report.page import Figure, Page, Section, Table, name_of_file, shell_command
 from rtec.version import __version__
 from rtec.wording import ERROR_UNITS, NONE, counted, decimals, number, percent, probability, sizes
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
 
-MOST_DOTS, MOST_MARKERS = 4000, 120
+MOST_MARKERS = 120
 LEVEL_COLOURS = ("#3B1C8C", "#2A6FB0", "#1FA187", "#A8A800", "#D55E00")
 """From the lowest to the highest level of a second variable: hue and lightness change together."""
 ROW_IN = 5.2

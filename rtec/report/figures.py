@@ -12,9 +12,6 @@ from io import BytesIO
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, ParamSpec
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rtec.text import clean_lines
 
 if TYPE_CHECKING:
@@ -24,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
     from matplotlib.text import Text
 
-Floats = NDArray[np.float64]
 OFF, ON, GREY = "#D55E00", "#0072B2", "#595959"
 LINES = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#B8860B", "#3A9BD9", "#6B4E9B")
 STYLE: Any = {
@@ -52,6 +48,8 @@ LETTER, MIN_LETTERS, LABELS_IN = 0.62, 12, 1.3
 P = ParamSpec("P")
 Zoom = Mapping[str, tuple[float, float]]
 """Ends of a part of a figure, by axis: "x", "y", and "y2" of a second panel below; an axis without ends is whole."""
+MOST_DOTS = 4000
+"""Of more readings, evenly chosen ones are drawn."""
 WHOLE: Zoom = {}
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.hil import Accuracy, Check, FaultFound, HilResult, SoakResult, tally
-from rtec.report.figures import GREY, KINDS, as_png, room_above, stacked
+from rtec.report.figures import GREY, KINDS, MOST_DOTS, as_png, room_above, stacked
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.result import plain
 from rtec.wording import number, significant
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
 Floats = NDArray[np.float64]
-MOST_DOTS = 4000
 FAULT = "#F0E442"
 
 

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rtec.diagnosis.plan.answer import Answer
-from rtec.diagnosis.plan.parameters import hours_in_words
 from rtec.diagnosis.plan.plan import WEAK, Proposal, Separation
 from rtec.diagnosis.plan.separating import Pair, Separator
 from rtec.diagnosis.words import spoken
 from rtec.report.page import Page, Section, Table
 from rtec.version import __version__
-from rtec.wording import number, significant
+from rtec.wording import duration, number, significant
 
 SHOWN, BRIEF = 8, 4
 HARDLY = math.log(2.0)
@@ -96,7 +95,7 @@ def _lead(a: Answer) -> str:
     verdict = f"These tests separate {s.rank} of {n} parameters."
     if not a.route:
         return verdict
-    first, *more = [f"{p.test.name} ({hours_in_words(p.test.hours)})" for p in a.route]
+    first, *more = [f"{p.test.name} ({duration(3600.0 * p.test.hours)})" for p in a.route]
     after = a.route[-1].after.rank
     which = f"all {n}" if after == n else f"{after} of {n}"
     return f"{verdict} Add: {', then '.join([first, *more])}; then {which} are separated."
@@ -122,7 +121,7 @@ def _lead_of_rivals(a: Answer) -> str:
     if best is None:
         return f"{verdict} No single test on this machine does." if a.separators else verdict
     all_of = "they are" if len(a.rivals) == 1 else f"{best.clear} of {len(a.rivals)} pairs are"
-    return f"{verdict} Add: {best.test.name} ({hours_in_words(best.test.hours)}); then {all_of} separated."
+    return f"{verdict} Add: {best.test.name} ({duration(3600.0 * best.test.hours)}); then {all_of} separated."
 
 
 def _odds(pairs: Sequence[Pair]) -> str:

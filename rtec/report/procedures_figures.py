@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, as_png, room_above, stacked
+from rtec.report.figures import GREY, LINES, MOST_DOTS, OFF, ON, as_png, room_above, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-MOST_DOTS = 4000
 LOOKS = ((ON, "-"), (OFF, "--"), (LINES[3], "-."), (LINES[4], ":"))
 
 

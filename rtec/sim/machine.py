@@ -132,7 +132,7 @@ class SimulatedMachine:
         self._spindle[c.SPINDLE_RPM] = spindle_rpm
         self._warm()
 
-    def record_to(self, time_ns: int, every_ns: int = 1_000_000) -> MotionRecording:
+    def record_to(self, time_ns: int, every_ns: int) -> MotionRecording:
         """As `advance_to`, with a recording at every multiple of `every_ns`."""
         stride = max(1, every_ns // self._period_ns)
         pieces = [self._run_recorded(ticks, stride) for ticks in iter(lambda: self._ticks_to(time_ns), 0)]
@@ -153,11 +153,6 @@ class SimulatedMachine:
         reader = ProgramReader(self.machine.axis_names, travel, start, self.truth.servo.rapid_mm_s, self.spindle_rpm)
         self._blocks = program_table(reader, self.truth, text, repeat)
         self._clock[c.PROGRAM_TICK :] = self._clock[c.TICK], 0, int(repeat)
-
-    @property
-    def program_done(self) -> bool:
-        """Whether the program has ended (never, where it repeats)."""
-        return int(self._clock[c.BLOCK]) >= len(self._blocks)
 
     @property
     def program_s(self) -> float:

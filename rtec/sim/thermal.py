@@ -13,10 +13,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.quantities import DAY_S
 from rtec.sim.truth import Truth
 
 Floats = NDArray[np.float64]
-DAY_S = 86400.0
 WALK_STEP_S = 60
 
 

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.errors import ConfigError, MeasurementError
 from rtec.metrology.ball_bar.causes import causes
@@ -14,13 +13,13 @@ from rtec.metrology.ball_bar.design import stacked_design
 from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.metrology.instruments.ball_bar import circle_channels, travelled_deg
 from rtec.sim.campaign.campaign import simulate, simulate_with_truth
-from rtec.sim.campaign.settings import QUIET, DayPhase, DrivenPath, Settings
+from rtec.sim.campaign.settings import DayPhase, DrivenPath, Settings
 from rtec.sim.campaign.truth import truth_of
 from tests.support.ball_bar_examples import ROWS, bar, gantry, recorded
 from tests.support.exact_chain import exact_tip_error_um, exact_tip_errors_um
 from tests.support.machines import turning_centre, vertical_mill
+from tests.support.sim_example import QUIET
 
-Floats = NDArray[np.float64]
 SETUPS = [(0.0, 150.0, "ccw"), (30.0, 146.969, "cw"), (144.568, 40.0, "ccw"), (-60.0, 100.0, "cw")]
 ZETA_DEG = np.arange(3.0, 360.0, 11.0)  # off the quadrants, where the clearance has not yet gone from flank to flank
 

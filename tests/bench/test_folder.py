@@ -1,13 +1,15 @@
 """Data sets for another program, and its answers. Oracle: what was written, and rows counted by hand."""
 
 import csv
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from rtec.bench.folder import ANSWERS, BenchmarkRange, read_answers, read_range, write_answers, write_sets
+from rtec.bench.folder import ANSWERS, HEAD, BenchmarkRange, read_answers, read_range, write_sets
 from rtec.bench.score import HeldBack, TrialAnswer, confidently_wrong, held_back, score
 from rtec.bench.sets import measurements_of
 from rtec.bench.trials import Right, Trial, build
@@ -45,6 +47,24 @@ def test_no_file_tells_the_truth(folder: Path) -> None:
     for file in files:
         text = file.read_text(encoding="utf-8").replace("servo_lag", "")
         assert not [w for w in words if w in text], file
+
+
+def write_answers(folder: Path, made: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> None:
+    """Answers as another program writes them."""
+
+    def joined(names: Iterable[Right]) -> str:
+        return ";".join(":".join(filter(None, (n.effect, n.component, n.sensor))) for n in names)
+
+    rows = []
+    for i, trial in enumerate(made, 1):
+        a = answers[trial.label]
+        sets = (";".join(sorted(names)) for names in (a.variables, a.doubts))
+        rows.append([f"{i:04d}", a.verdict, joined(a.names), joined(a.claimed), *sets, f"{a.seconds:.3f}"])
+        if a.predicted:
+            where = folder / "sets" / f"{i:04d}"
+            where.mkdir(parents=True, exist_ok=True)
+            pd.DataFrame(a.predicted).to_csv(where / "predicted.csv", index=False)
+    pd.DataFrame(rows, columns=HEAD).to_csv(folder / ANSWERS, index=False)
 
 
 def test_answers_go_there_and_back(folder: Path, tmp_path: Path) -> None:

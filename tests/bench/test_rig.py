@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.bench.rig import campaign, machine
 from rtec.bench.rig.campaign import line
 from rtec.bench.rig.machine import displaced, rotation
 from rtec.bench.sets import machine_of, measurements_of
 from rtec.bench.trials import GROUPS, build
-
-Floats = NDArray[np.float64]
 
 
 def test_a_turn_keeps_lengths() -> None:

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation, characterise
 from rtec.errors import ModelError
@@ -31,7 +30,6 @@ from tests.characterise.joint_proof import drawn as warm_machine
 from tests.support.ball_bar_truth import SIDES, THREE, Bar, TrueMachine
 from tests.support.joint_truth import TRAVEL_MM, measured
 
-Floats = NDArray[np.float64]
 KINDS = ("whole", "warm")
 FIRST = 5000
 SIZES = {

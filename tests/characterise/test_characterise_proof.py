@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.characterise import characterise
 from rtec.estimation.gram.fit import estimate
@@ -17,11 +16,10 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign.campaign import simulate_with_truth
-from rtec.sim.campaign.settings import PERFECT, DayPhase, ReadingNoise, Sensors, Settings, Targets, Thermal
+from rtec.sim.campaign.settings import DayPhase, ReadingNoise, Sensors, Settings, Targets, Thermal
 from rtec.sim.campaign.truth import truth_of
 from tests.support.machines import turning_centre, vertical_mill
-
-Floats = NDArray[np.float64]
+from tests.support.sim_example import PERFECT
 
 TURNING = (
     "scale,component=EXX,axis=X,k=20",

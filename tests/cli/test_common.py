@@ -1,12 +1,14 @@
 """How the commands print: folded between words, as wide as COLUMNS, brief or full; oracles: the texts themselves."""
 
+from typing import Any
+
 import pytest
 
-from rtec.cli.common import give, print_table, show_page
+from rtec.cli.common import print_table, show, show_page
 from rtec.cli.screen import Console
 from rtec.report.page import Page, Section, Table
+from rtec.result import Result
 
-WORDS = ("bi-directional", "axis_expansion_nonuniform(EXX,", "X,", "T_x_nut)", "0.123")
 WIDE = Table(
     ("effect", "numbers", "what would show it"),
     [["axis_expansion_nonuniform(EXX, X, T_x_nut)", "0.123 ± 0.045 µm/(m·K)", "measure with spindle_drift, tool_tip"]],
@@ -50,11 +52,19 @@ def test_no_word_of_a_table_is_broken_in_two(columns: int) -> None:
     assert max(map(len, printed.splitlines())) <= max(columns, longest + 4)
 
 
+class Paged(Result):
+    def page(self, figures: bool = True) -> Page:  # noqa: ARG002 - as every result
+        return PAGE
+
+    def facts(self) -> dict[str, Any]:
+        return {}
+
+
 def test_brief_and_full(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the verdict and the next command in both; one short table, or all."""
-    give(lambda _: PAGE, {}, as_json=False, full=False)
+    show(Paged(), as_json=False, full=False)
     brief = capsys.readouterr().out
-    give(lambda _: PAGE, {}, as_json=False, full=True)
+    show(Paged(), as_json=False, full=True)
     full = capsys.readouterr().out
     for shown in (brief, full):
         assert PAGE.lead in shown

@@ -57,7 +57,7 @@ def row_numbers(samples: Samples) -> list[int]:
 
 def produce(ring: Ring, n: int) -> None:
     for row in range(ring.head, ring.head + n):
-        fill(*ring.slot(row), row)
+        fill(*ring.slots[row % ring.capacity], row)
         ring.publish()
 
 
@@ -85,7 +85,7 @@ def test_drained_rows_are_copies(ring: Ring) -> None:
 def test_the_slot_being_written_is_never_given(ring: Ring) -> None:
     """Eight slots: with 8 rows waiting, the slot of row 0 is the one being written, so row 0 is lost, and no other."""
     produce(ring, 8)
-    samples, _ = ring.slot(8)
+    samples, _ = ring.slots[8 % ring.capacity]
     samples.counts[:] = -1
     assert_rows(ring.drain(), list(range(1, 8)))
     assert ring.overruns == 1
@@ -219,7 +219,7 @@ def test_name_goes_with_the_owner_and_only_once() -> None:
 
 def test_views_outlive_the_ring() -> None:
     with Ring.create(LAYOUT, 8) as ring:
-        samples, commands = ring.slot(0)
+        samples, commands = ring.slots[0]
     fill(samples, commands, 3)
     assert_rows((samples, commands), [3])
     assert ring.head == 0
@@ -280,7 +280,7 @@ _QUIET = """
 import sys
 from rtec.daemon.ring import Ring
 ring = Ring.attach(sys.argv[1])
-ring.slot(0)
+ring.slots
 ring.publish()
 """
 

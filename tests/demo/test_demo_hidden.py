@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.cli.main import status
 from rtec.correction.flags import MODE_OFF
@@ -27,7 +26,6 @@ from rtec.result import plain
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 
-Floats = NDArray[np.float64]
 CONFIGS = config_folder()
 MACHINE = load_machine(CONFIGS / MACHINE_FILE)
 SHORT = Plan(warm_h=0.5, night_h=0.0)

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from rtec.estimation import noise as noise_module
-from rtec.estimation.noise import Noise, Whitener, find_noise, minutes, noise_bounds
+from rtec.estimation.noise import Noise, Whitener, find_noise, noise_bounds
 from rtec.estimation.readings import Readings, read
 from rtec.estimation.smoothing import Windows, smoothed, spline
 from rtec.estimation.whitening import drift_draws, gains, innovations, likelihood, noise_cost, walk
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
+from rtec.wording import duration
 from tests.support.machines import turning_centre
 
 Floats = NDArray[np.float64]
@@ -204,4 +205,4 @@ def test_a_jump_of_a_temperature_stays_a_jump() -> None:
 
 @pytest.mark.parametrize(("seconds", "said"), [(90.0, "90 s"), (1800.0, "30 min"), (9000.0, "2.5 h")])
 def test_times_are_told_as_people_do(seconds: float, said: str) -> None:
-    assert minutes(seconds) == said
+    assert duration(seconds) == said

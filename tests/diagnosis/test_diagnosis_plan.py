@@ -25,7 +25,6 @@ SCALE = "scale,component=EXX,axis=X,k=1"
 CURVATURE = "guide_curvature,component=EBX,axis=X,k=1"
 BACKLASH = "backlash,component=EXX,axis=X,B=1"
 SCALE_Z = "scale,component=EZZ,axis=Z,k=1"
-TILT = "column_tilt,component=EX0workpiece,front=T_bed,back=T_air,k=1"
 
 
 def asked(*texts: str) -> list[Effect]:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
@@ -13,7 +12,6 @@ from rtec.model import Model
 from tests.support import proof
 from tests.support.diagnosis_examples import effects, small_machine
 
-Floats = NDArray[np.float64]
 STEP_UM, NOISE_UM, TARGETS, RUNS = 1.0, 0.15, 13, 9
 MODEL = Model(small_machine(), effects("straightness,component=EZX,axis=X,degrees=[2,3],c2=0,c3=0"), name="guide")
 

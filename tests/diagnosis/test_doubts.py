@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
@@ -26,8 +25,6 @@ from tests.support import proof
 from tests.support.characterise_examples import Probe, ProbeSetup, measurement, runs
 from tests.support.diagnosis_examples import effects, laser, small_machine
 
-Floats = NDArray[np.float64]
-TRUTH = ["scale,component=EXX,axis=X,k=40", "servo_lag,component=EXX,axis=X,tau=300"]
 BENT = ["scale,component=EXX,axis=X,k=30"]
 
 

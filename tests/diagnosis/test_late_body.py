@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.characterise import fitted_model
 from rtec.characterise.candidates import thermal
@@ -33,7 +32,6 @@ from tests.support.diagnosis_examples import TABLE
 from tests.support.machines import axis
 from tests.support.warming import delayed
 
-Floats = NDArray[np.float64]
 RUNS, TARGETS, NOISE_UM = 16, 15, 0.2
 HEIGHTS = {"low": 0.0, "high": 220.0}
 """Of two drift probes above the origin of the spindle, mm."""

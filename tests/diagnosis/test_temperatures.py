@@ -16,10 +16,10 @@ from rtec.diagnosis.extend.improve import FURTHER, improve
 from rtec.diagnosis.extend.temperatures import further_temperatures
 from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.judge import Judgement
-from rtec.estimation.noise import minutes
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from rtec.wording import duration
 from tests.support import proof
 
 
@@ -122,7 +122,7 @@ def test_of_two_delays_the_name_gives_the_fitted_one() -> None:
     added = add(replace(model, effects=(*model.effects[:2], late[0])), [late[1]], [m])
     fitted = added.model.effects[-1].theta["tau"]
     assert fitted != pytest.approx(300.0, rel=0.05)
-    assert added.labels == (f"axis_expansion(EXX, X, T_nut), {minutes(fitted)} late",)
+    assert added.labels == (f"axis_expansion(EXX, X, T_nut), {duration(fitted)} late",)
 
 
 @pytest.mark.parametrize("seed", proof.few([50, 51], 1))

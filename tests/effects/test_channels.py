@@ -272,7 +272,6 @@ def test_the_compiled_kernel_reads_every_channel() -> None:
     kernel = compile_model(ALL)
     assert kernel.source.arrays == ("q", "d", "vel", "acc", "since")
     assert kernel.source.constants == ("load_kg", "force_n")
-    assert kernel.source.uses_time
     tip, _ = kernel.predict(s)
     wanted = ALL.predict(s)
     np.testing.assert_allclose(tip, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from rtec.effects import State
 from rtec.effects.expression import expression_from_text
@@ -17,7 +16,6 @@ from rtec.tomlfile import nearest
 from tests.support.machines import turning_centre, vertical_mill
 from tests.support.tip_fit import fit_model
 
-Floats = NDArray[np.float64]
 MACHINE = turning_centre()
 
 

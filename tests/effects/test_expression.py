@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from rtec.effects.expression import Expression
@@ -20,7 +19,6 @@ from rtec.model import FittedEffect, Model
 from rtec.model.kernel.write import write_kernel
 from tests.support.machines import turning_centre
 
-Floats = NDArray[np.float64]
 MACHINE = turning_centre()
 
 

@@ -21,7 +21,6 @@ Floats = NDArray[np.float64]
 SCALE = effect("scale", "EXX", axis="X")
 BACKLASH = effect("backlash", "EXX", axis="X")
 LAGGED = effect("mount_expansion", "EXX", sensor="T_spindle", lag=True)
-TRUE = {"k": 12.0, "B": 3.0}
 
 
 def true_readings(m: Measurement, tau: float = 1500.0) -> Floats:

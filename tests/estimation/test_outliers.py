@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.estimation.outliers import clean, wrong_readings
 from rtec.estimation.readings import read
@@ -14,7 +13,6 @@ from tests.support.characterise_examples import Probe, ProbeSetup, measurement, 
 from tests.support.diagnosis_examples import laser
 from tests.support.frame_thermal import recorded
 
-Floats = NDArray[np.float64]
 SCALE = "scale,component=EXX,axis=X,k=12"
 
 

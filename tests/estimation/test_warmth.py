@@ -8,7 +8,7 @@ from rtec.characterise import characterise
 from rtec.diagnosis.extend.add import add, asked_effect
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
-from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
+from rtec.estimation.warmth import differs_from_fit_day, expands_much
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.report.history import _refit_words, improved_page
@@ -100,7 +100,7 @@ def test_several_temperatures_make_together_what_the_day_of_the_fit_showed(
     history = ({"recorded_degc": {"T_bed": [20.0, 24.0], "T_air": [20.0, 22.0]}},)
     was = Model(small_machine(), by_sensors(("T_bed", 11.0)), name="was", history=history)
     now = Model(small_machine(), by_sensors(*after), name="now")
-    assert (not otherwise_on_the_day_of_the_fit(was, now)) == possible
+    assert (not differs_from_fit_day(was, now)) == possible
 
 
 def test_of_two_expansions_against_each_other_the_second_is_no_contradiction_of_the_first() -> None:

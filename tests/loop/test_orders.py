@@ -114,7 +114,7 @@ def test_a_reload_that_comes_with_the_rows_cuts_the_log_before_them(
 
         def drain_while_the_loop_goes_on() -> object:
             ring.reloads = 1
-            samples, _ = ring.slot(0)
+            samples, _ = ring.slots[0]
             samples.time_ns[0] = 1
             ring.publish()
             return drain()

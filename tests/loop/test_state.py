@@ -40,8 +40,6 @@ from rtec.loop.state_files import (
 from rtec.loop.step import Step
 from tests.support import setups
 
-Ints = NDArray[np.int64]
-
 
 @pytest.fixture(scope="module")
 def step(tmp_path_factory: pytest.TempPathFactory) -> Step:

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.errors import ConfigError, MeasurementError
 from rtec.machine import Machine
@@ -19,8 +18,6 @@ from rtec.sim.campaign.truth import truth_of
 from tests.support import proof
 from tests.support.exact_chain import exact_tip_error_um
 from tests.support.machines import axis, machine, turning_centre
-
-Floats = NDArray[np.float64]
 
 
 def bridge(corner: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Machine:

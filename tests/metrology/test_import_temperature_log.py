@@ -21,7 +21,6 @@ TURNING = Path(__file__).parents[2] / "configs" / "machines" / "turning-centre.t
 MACHINE = load_machine(TURNING)
 BEGAN = datetime(2026, 3, 12, 8, 0, 6)
 STEP_S, LOG_STEP_S, READINGS = 6, 30, 400
-LATER = BEGAN + timedelta(seconds=STEP_S * (READINGS - 1))
 
 
 def nut_degc(moment: datetime) -> float:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from rtec import jit
 from rtec.effects import effect_class
@@ -25,7 +24,6 @@ from rtec.model.kernel.write import write_kernel
 from rtec.model.model import names_of
 from tests.support.effect_examples import EXAMPLES, MACHINE, everything, states
 
-Floats = NDArray[np.float64]
 MOVING = {prefix + axis for prefix in ("", "d_", "v_", "a_", "s_") for axis in "xz"}
 
 

@@ -8,7 +8,6 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from rtec.metrology.procedures.drift import spindle_drift
 from rtec.metrology.procedures.iso230_2 import Positioning, TwoWay, positioning
@@ -20,7 +19,6 @@ from tests.support.cyclic_turns import cyclic_error
 from tests.support.lag_fit import lag_model
 from tests.support.real_data import real_file
 
-Floats = NDArray[np.float64]
 SETS = {
     "b02-x_target_x.md_ISO230.dat": "b02-x_x_iso230_2_report.md",
     "muts-target_x_report_ILD50.md_ISO230.dat": "muts-target_x_report_ILD50.md",

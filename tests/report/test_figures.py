@@ -8,7 +8,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from rtec.demo import figures as demo
 from rtec.report import (
@@ -24,7 +23,6 @@ from rtec.report import (
 from rtec.report.effects_figures import EffectCurve, EffectShape
 from tests.support.figures import drawn, lines
 
-Floats = NDArray[np.float64]
 RNG = np.random.default_rng(1)
 X = np.repeat(np.linspace(0.0, 100.0, 21), 4)
 WAY = np.tile([1.0, -1.0], 42)

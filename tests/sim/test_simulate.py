@@ -27,8 +27,6 @@ from rtec.sim.campaign.cycle import directions, off_pitch, on_pitch
 from rtec.sim.campaign.protocol import PRESETS, drift_noise, relax, with_noise
 from rtec.sim.campaign.settings import (
     DRIFT_PROBES,
-    PERFECT,
-    QUIET,
     DayPhase,
     ReadingNoise,
     Settings,
@@ -40,6 +38,7 @@ from rtec.sim.campaign.truth import effect_from_text, truth_of
 from tests.support.exact_chain import exact_tip_error_um
 from tests.support.instrument_examples import EXAMPLES, Example, frames
 from tests.support.machines import turning_centre, vertical_mill
+from tests.support.sim_example import PERFECT, QUIET
 
 Floats = NDArray[np.float64]
 MACHINE_FILE = Path(__file__).parents[2] / "configs" / "machines" / "turning-centre.toml"

@@ -22,7 +22,6 @@ from tests.support.gateware import GatewareBox, gateware_on_a_port, missing
 
 MS = 1_000_000
 SPEED = {"X": 400.0, "Z": 400.0}
-FASTEST_COUNTS_PER_MS = 800
 START_NS = 10**12
 
 

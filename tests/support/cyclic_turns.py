@@ -20,7 +20,6 @@ from rtec.errors import MeasurementError
 from rtec.metrology.procedures.fitting import SeparableFit, separable_fit
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 SURE = 3.0
 """A term counts as real from this many standard errors on."""
 

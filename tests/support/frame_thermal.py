@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtec.machine import Machine, machine_from
 from rtec.metrology.measurement import Measurement
 from tests.support.characterise_examples import Probe, ProbeSetup
 from tests.support.real_data import real_file
 
-Floats = NDArray[np.float64]
 UM_PER_STEP = 2.5
 COMPONENT = "EZ0nozzle"
 SENSORS = {"T_frame": "frame_t", "T_chamber": "chamber_t", "T_bed": "bed_t"}

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.machine import Machine, load_machine, machine_from
+from rtec.sim.campaign.settings import ReadingNoise, Sensors
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import Truth, load_truth
 from rtec.tomlfile import validated
@@ -16,6 +17,8 @@ MACHINE_FILE = CONFIGS / "machines" / "turning-centre.toml"
 TRUTH_FILE = CONFIGS / "sim" / "turning-centre.toml"
 MS = 1_000_000
 S = 1_000_000_000
+QUIET = ReadingNoise(white_um=0.0)
+PERFECT = Sensors(offset_degc=0.0, noise_degc=0.0, lag_s=0.0, resolution_degc=0.0)
 
 
 def shipped() -> tuple[Machine, Truth]:

@@ -207,10 +207,6 @@ class FarSides:
             out[part] = self._heard(part)
         return out
 
-    def pids(self) -> dict[str, int]:
-        """Process numbers by part."""
-        return {part: process.pid for part, process in self._processes.items()}
-
     def _start(self, part: str) -> "subprocess.Popen[str]":
         command = [sys.executable, "-m", "rtec_drivers.hil.far_side", str(self._config), "--part", part]
         command += ["--folder", str(self._folder), "--every-ms", str(self._every_ms)]

@@ -37,7 +37,6 @@ import hal  # type: ignore[import-not-found]
 
 NAME = "rtec"
 LOOK_S = 0.0005
-STANDS_NS = 20_000_000
 ENDS_NS = 10_000_000_000
 AGAIN_S = 0.2
 MM_PER_INCH = 25.4

@@ -298,7 +298,7 @@ ALIKE = 0.7
 
 
 def locate(
-    readings: Readings, left: Floats, whitener: Whitener, tails: Floats, seed: int = 1, stage: Stage | None = None
+    readings: Readings, left: Floats, whitener: Whitener, tails: Floats, seed: int, stage: Stage | None
 ) -> list[tuple[Region, ...]]:
     """Find the worst regions of every series, best evidence first.
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts.edits import ABOVE, AS_GOOD, FAR_LESS, HALF, NEAR_FIT, Edit, Edits, with_channels
+from rtec.diagnosis.doubts.edits import ABOVE, FAR_LESS, HALF, NEAR_FIT, Edit, Edits, with_channels
 from rtec.estimation import floor
 from rtec.estimation.candidates import library, simple_effects
+from rtec.estimation.changed_delay import AS_GOOD
 from rtec.estimation.columns import base_of, ordered
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement

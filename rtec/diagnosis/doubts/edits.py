@@ -17,6 +17,7 @@ from rtec.effects.expression import Expression
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
+from rtec.estimation.changed_delay import AS_GOOD
 from rtec.estimation.columns import ordered
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings, Series
@@ -31,8 +32,6 @@ Floats = NDArray[np.float64]
 SHIFT, SHIFTS, SMOOTH = 0.25, 101, 41
 """How far an origin may have moved, as a share of the travel; number of places in the grid, and where no effect of the
 model is a wave or a formula along the axis."""
-AS_GOOD = 1.1
-"""An explanation whose residual is within this factor of another's is equally good."""
 GROWS = "something that grows shifts the readings as much"
 SENSORS_LATE = "the sensors warm up that much later than their parts"
 FAR_LESS = 0.75

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.doubts.edits import AS_GOOD
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
+from rtec.estimation.changed_delay import AS_GOOD
 from rtec.estimation.columns import base_of
 from rtec.estimation.judge import Judgement
 from rtec.estimation.warmth import of_the_fit
@@ -18,8 +17,6 @@ from rtec.metrology.contradicted import contradicted
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.travel import BEYOND, outside_travel, travel_words
 from rtec.wording import ERROR_UNITS, significant, sizes
-
-Floats = NDArray[np.float64]
 
 FEWEST = 10
 """Moves, with fewer of which the clock is not asked about."""

@@ -7,10 +7,10 @@ import numpy as np
 
 from rtec.characterise.own_scale import LEAST_UM_PER_M, OWN, REMEDY, decide, groups_of
 from rtec.diagnosis.doubts.doubt import Doubt
-from rtec.diagnosis.doubts.edits import AS_GOOD
 from rtec.effects.geometry import Scale
 from rtec.estimation import floor
 from rtec.estimation.candidates import simple_effects
+from rtec.estimation.changed_delay import AS_GOOD
 from rtec.estimation.judge import Judgement
 
 MOST = 0.5

@@ -23,7 +23,6 @@ from rtec.estimation.cycles import cycles
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
-from rtec.estimation.noise import minutes
 from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.rotary import STEP as ONE_ANGLE
@@ -36,7 +35,7 @@ from rtec.estimation.warm_start import STEP as BEGIN
 from rtec.estimation.wrong_scale import odd_scales
 from rtec.model import Model
 from rtec.model.history import steps_of
-from rtec.wording import ERROR_UNITS, listed, percent, significant, sizes, two_numbers
+from rtec.wording import ERROR_UNITS, duration, listed, percent, significant, sizes, two_numbers
 
 Floats = NDArray[np.float64]
 
@@ -106,7 +105,7 @@ def _changed_delays(judged: Judgement) -> list[Doubt]:
     changed = [(judged.model.effects[i], delay_s) for i, delay_s in judged.given.delays.items()]
     if not changed:
         return []
-    each = [f"{f.label} lags by {minutes(s)} here, and by {minutes(f.theta['tau'])} in the model" for f, s in changed]
+    each = [f"{f.label} lags by {duration(s)} here, and by {duration(f.theta['tau'])} in the model" for f, s in changed]
     here, refitted = two_numbers(judged.residual, judged.refitted)
     it = "that" if len(changed) == 1 else "these"
     message = (

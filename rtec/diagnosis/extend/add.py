@@ -38,11 +38,10 @@ from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.unmeasured import UnmeasuredMotion, unmeasured_motions
-from rtec.estimation.warmth import expands_much, otherwise_on_the_day_of_the_fit
+from rtec.estimation.warmth import differs_from_fit_day, expands_much
 from rtec.estimation.wrong_scale import check_scales
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.model.fit import Margin
 from rtec.model.model import names_of
 from rtec.parallel import one_blas_thread
 from rtec.result import Result
@@ -128,9 +127,9 @@ CLEARLY = 0.02
 """A fall of the error on held-out runs by more than this share is clear: then a model keeps its own numbers, or gets an
 effect."""
 HOLDS, NEARLY = 0.95, 1.1
-"""A model keeps its own numbers where the addition then still removes this share of its mean square, of what it removes
-with all numbers refitted, and held-out runs are predicted within the second factor: the numbers are no reason for what
-it left. Slow drift, which the numbers follow, does not count."""
+"""A model keeps its own numbers where they are no reason for its residual. Beside them, the addition must remove this
+share of what it removes of the mean square with all numbers refitted, and predict held-out runs within the second
+factor. Slow drift, which the numbers follow, does not count."""
 FAR = 5.0
 """A number that moves by this many standard errors is another one."""
 SHARPER, SURELY = 0.1, 10.0
@@ -248,7 +247,6 @@ def add(
     new: Sequence[FittedEffect],
     measurements: Sequence[Measurement],
     *,
-    margin: Margin | None = None,
     stage: Stage | None = None,
     given: Clean | None = None,
     own: int | None = None,
@@ -263,7 +261,6 @@ def add(
         model: the current model.
         new: effects to add, from `new_effect`; empty for a mere refit.
         measurements: of its machine.
-        margin: how far valid ranges reach beyond the readings.
         stage: progress callback: called with the stage, steps done, steps in total.
         given: the measurements, already read; the caller has checked the record for doubts.
         own: number of effects of the model, from the first on, whose numbers were not fitted to these readings; by
@@ -280,14 +277,13 @@ def add(
         again = any(m.fingerprint in model.measurements.values() for m in measurements)
         kept = own if own is not None else 0 if again else len(model.effects)
         before = earlier if earlier is not None else None if again else model
-        return _add(model, new, measurements, margin or Margin(), progress, given, kept, before)
+        return _add(model, new, measurements, progress, given, kept, before)
 
 
 def _add(
     model: Model,
     new: Sequence[FittedEffect],
     measurements: Sequence[Measurement],
-    margin: Margin,
     progress: Stage,
     given: Clean | None,
     own: int,
@@ -305,10 +301,10 @@ def _add(
     progress("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, earlier) if new else (no_worse(model, before), ())
     progress("held-out runs", 2, 3)
-    made, freely = _judged(model, new, measurements, there, (before, after), margin, own, 0), after
+    made, freely = _judged(model, new, measurements, there, (before, after), own, 0), after
     if new and own:
         kept = _with_own(model, after, own, readings)
-        other = _judged(model, new, measurements, there, (before, kept), margin, own, own)
+        other = _judged(model, new, measurements, there, (before, kept), own, own)
         settles = bool(after.undetermined) and not kept.undetermined and other.better
         lower, n = other.after.held_out < (1.0 - CLEARLY) * made.after.held_out, len(readings)
         clearly = lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))
@@ -316,20 +312,20 @@ def _add(
             after, made = kept, other
     if new and not gains(made.before, made.after, len(readings)):
         # Numbers held near what earlier readings made them hide what free ones show before and after.
-        free = _judged(model, new, measurements, there, (before, freely), margin, own, 0, alike=True)
+        free = _judged(model, new, measurements, there, (before, freely), own, 0, alike=True)
         if gains(free.before, free.after, len(readings)) and _settled_gain(model, there, before, freely):
             after, made = freely, free
     worse = _size(readings, freely.left) > (1.0 + WORTH) * _size(readings, before.left)
     if new and earlier is not None and worse and not gains(made.before, made.after, len(readings)):
         # Numbers that have changed without what is new were held beside it: these readings alone determine both.
         alone, words = _with_new(model, new, before, readings, None)
-        free = _judged(model, new, measurements, there, (before, alone), margin, own, 0)
+        free = _judged(model, new, measurements, there, (before, alone), own, 0)
         if gains(free.before, free.after, len(readings)):
             after, made, searched = alone, free, words
     progress("held-out runs", 3, 3)
     named, before_it = labels(after.effects), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in before_it)
-    other_day = otherwise_on_the_day_of_the_fit(earlier, made.model) if earlier is not None else ()
+    other_day = differs_from_fit_day(earlier, made.model) if earlier is not None else ()
     much = (*_beyond_materials(model.effects, made.model.effects), *other_day)
     better = made.better and not cancelling and not wrong and not much
     return replace(
@@ -477,7 +473,6 @@ def _judged(
     measurements: Sequence[Measurement],
     given: Clean,
     fits: tuple[Joint, Joint],
-    margin: Margin,
     fresh: int,
     own: int,
     alike: bool = False,
@@ -489,13 +484,12 @@ def _judged(
         new: the added effects.
         measurements, given: the readings.
         fits: of the model before, and with what is new.
-        margin: of the valid ranges.
         fresh: number of effects whose numbers were not fitted to these readings before: for them all runs are held out.
         own: number of effects that keep their numbers in the fit.
         alike: predict held-out runs after the addition as before it, by numbers refitted to all others.
     """
     (refitted, after), effects = fits, fits[1].effects
-    ranges = ranges_of(model, effects, given.readings, margin)
+    ranges = ranges_of(model, effects, given.readings)
     grown = replace(model, effects=effects, valid_range=ranges, correlation=after.correlation)
     now, kept = Judgement(grown, given), set[int]() if alike else {*range(own), *after.settled}
     was = Judgement(model, given, tuple(now.scale))

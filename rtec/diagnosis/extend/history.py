@@ -10,7 +10,7 @@ from rtec.estimation.readings import Readings
 from rtec.estimation.warmth import recorded_degc
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.model.fit import Margin, valid_range
+from rtec.model.fit import valid_range
 from rtec.version import __version__
 
 
@@ -31,13 +31,11 @@ class Errors:
     beyond_drift: float
 
 
-def ranges_of(
-    model: Model, effects: Sequence[FittedEffect], readings: Readings, margin: Margin
-) -> dict[str, tuple[float, float]]:
+def ranges_of(model: Model, effects: Sequence[FittedEffect], readings: Readings) -> dict[str, tuple[float, float]]:
     """Ranges of the model and of these readings, joined."""
     seen = [(m.state(model.reference_degc), np.arange(len(m))) for m in readings.measurements]
     out = dict(model.valid_range)
-    for name, (low, high) in valid_range([f.effect for f in effects], seen, margin).items():
+    for name, (low, high) in valid_range([f.effect for f in effects], seen).items():
         a, b = out.get(name, (low, high))
         out[name] = (min(a, low), max(b, high))
     return out

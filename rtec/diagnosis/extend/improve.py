@@ -25,7 +25,7 @@ from rtec.diagnosis.extend.add import (
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, hardly_varied
 from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding, Unknown
-from rtec.diagnosis.search.changes import expansions_instead, with_changes
+from rtec.diagnosis.search.changes import VISIBLE, expansions_instead, with_changes
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
@@ -66,9 +66,6 @@ MOSTLY, NEARLY = 0.75, 1.1
 mean square error; the shape only where the effect leaves more than this many times as much."""
 TRIED = 6
 """This many further temperatures are added on trial."""
-VISIBLE = 0.35
-"""A further temperature must lower the error on held-out runs by more than this multiple of the noise floor, in
-squares: what hides in the noise is not worth an effect that names no cause and may act more strongly on another day."""
 BY_FAR = 0.95
 """What a diagnosis names goes before a further temperature where it leaves less than this share of what that leaves."""
 NEAREST = "no effect of the catalogue describes what is missing"

@@ -84,11 +84,6 @@ def label(effect: Effect) -> str:
     return f"{effect.effect}({', '.join([effect.component, *extra])})"
 
 
-def hours_in_words(hours: float) -> str:
-    """A duration in words."""
-    return f"{60 * hours:.0f} min" if hours < 1.5 else f"{hours:.1f} h"
-
-
 def names_of(effects: Sequence[FittedEffect]) -> list[str]:
     """Names of effects, as `label`; equal ones get the arguments or numbers in which they differ."""
     out = [label(f.effect) for f in effects]

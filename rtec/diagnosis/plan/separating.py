@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.plan.ideas import extra_tests
-from rtec.diagnosis.plan.parameters import hours_in_words, names_of
+from rtec.diagnosis.plan.parameters import names_of
 from rtec.diagnosis.plan.plan import USUAL_NOISE, Extra, clean, effect_columns
 from rtec.diagnosis.result import Alike
 from rtec.effects import Effect
@@ -29,6 +29,7 @@ from rtec.estimation.readings import Readings, read
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from rtec.wording import duration
 
 Floats = NDArray[np.float64]
 
@@ -110,7 +111,7 @@ def separating(
     measurements: Sequence[Measurement],
     extras: Sequence[Extra] | None = None,
     *,
-    noise: float = USUAL_NOISE,
+    noise: float,
     whitener: Whitener | None = None,
 ) -> list[Separator]:
     """Rank tests by how well they would separate rival effects: most pairs first, then the quickest.
@@ -318,7 +319,7 @@ def _worth(test: Extra, gain: float) -> tuple[bool, float, float]:
 def _words(known: str, test: Extra, gain: float) -> str:
     if gain >= CLEAR and test.hours <= A_DAY:
         odds = "more than 1000 to 1" if gain > math.log(1000.0) else f"about {math.exp(gain):.0f} to 1"
-        text = f"{'here: ' if known else ''}{test.name} ({hours_in_words(test.hours)}), expected odds {odds}"
+        text = f"{'here: ' if known else ''}{test.name} ({duration(3600.0 * test.hours)}), expected odds {odds}"
     else:
         text = words.NONE_SETTLES + (" within a day" if gain >= CLEAR else "")
     return f"{known}; {text}" if known else text

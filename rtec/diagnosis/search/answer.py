@@ -61,8 +61,8 @@ Floats = NDArray[np.float64]
 DECIDED = 0.99
 """A number has no standard error where the readings determine a smaller share of it than this by themselves."""
 MOSTLY_NAMED = 0.5
-"""Where what is named removes this share of the mean square on held-out runs, the answer does not ask of which machine
-a file is that the model meets far worse than those of its fit: what is named is the reason."""
+"""A file that the model meets far worse than those of its fit may be of another machine. The answer does not ask so
+where what is named removes this share of the mean square on held-out runs: it is the reason."""
 UNHEARD = 100.0
 """A standard error this many times the number and its usual size means that the number is not determined."""
 TINY = 1e-12

@@ -25,7 +25,8 @@ from rtec.model import FittedEffect, Model
 AT_NOISE = 1.1
 """A residual within this factor of the noise floor says nothing about numbers that have changed."""
 VISIBLE = 0.35
-"""The expansion leaves less than the refit by more than this multiple of the noise floor, in squares."""
+"""What an effect explains must be more than this multiple of the noise floor, in squares: what hides in the noise is
+not worth an effect that names no cause and may act more strongly on another day."""
 MOST_RIVALS = 2
 MOSTLY = 0.5
 """Share of the change of a number without an effect by which it changes beside it, where it has changed of its own."""

@@ -53,10 +53,13 @@ NO_MACHINE = 1000.0
 def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
     """Log of a weak prior on the size of an effect: its largest coefficient against its usual size.
 
-    It orders what readings cannot separate. Of two names for one shape, the less likely is the one that would have to
-    be a hundred times its usual size, or that reaches the readings less directly (an angle of another axis, times its
-    arm), or that follows a sensor whose name says that it is at another axis, or a drive ahead of its command. It never
-    exceeds a few units, so that readings overrule it.
+    It orders what readings cannot separate, and never exceeds a few units, so that readings overrule it. Of two names
+    for one shape, the less likely is the one that
+
+    - would have to be a hundred times its usual size;
+    - reaches the readings less directly: an angle of another axis, times its arm;
+    - follows a sensor whose name says that it is at another axis;
+    - is a drive ahead of its command.
     """
     size = min(0.5 * (math.log(max(_against_usual(effect, values, machine), 1.0)) / USUAL) ** 2, 6.0)
     ahead = type(effect) is ServoLag and values[0] > 0.0

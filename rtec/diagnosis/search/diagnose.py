@@ -79,7 +79,7 @@ from rtec.effects import Effect
 from rtec.effects.reversal import Backlash
 from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.given import given_to
-from rtec.estimation.gls import along_runs, held_out_gain, solve
+from rtec.estimation.gls import along_runs, bic_cost, held_out_gain, solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean
@@ -340,11 +340,12 @@ class Search:
             undecided = None
         return answer(
             SearchResult(
-                self.model, self.prepared, self.candidates, self.untried, self._prior_odds, projected, found,
-                self.refits, refitted, pair[1].number if pair is not None else None, p, named, share,
-                unknown, self._top_shape, self.seed, self.explain, self._next(refitted, pair, named),
-                self.judged, self.doubts, tuple(chain),
-                undecided[0] if undecided is not None else None,
+                model=self.model, prepared=self.prepared, candidates=self.candidates, untried=self.untried,
+                prior_odds=self._prior_odds, projected=projected, found=found, refits=self.refits,
+                refitted=refitted, partner=pair[1].number if pair is not None else None, p=p, accepted=named,
+                adequacy=share, unknown=unknown, shape=self._top_shape, seed=self.seed, explain=self.explain,
+                beside=self._next(refitted, pair, named), judged=self.judged, doubts=self.doubts,
+                chain=tuple(chain), undecided=undecided[0] if undecided is not None else None,
             )
         )  # fmt: skip
 
@@ -630,7 +631,7 @@ class Search:
         curves = warm_up_curves(self.readings, self._channels(best), part)
         if not curves:
             return None
-        evidence, columns = self.refits.of_curves(curves, 2)
+        evidence, columns = self.refits.of_curves(curves)
         return columns if best.log_evidence - evidence < SURE else None
 
     def _without_instrument(self, members: list[Refitted]) -> list[Refitted]:
@@ -651,7 +652,7 @@ class Search:
             others = [o.columns for o in members if o is not t]
             whole = last.fit.log_likelihood - start - last.log_evidence
             curves += [mine] if mine else []
-            if mine and last.log_evidence - self.refits.of_curves(mine, 2, others)[0] + (whole - cost) < SURE:
+            if mine and last.log_evidence - self.refits.of_curves(mine, others)[0] + (whole - cost) < SURE:
                 instruments.append(t)
             else:
                 out.append(replace(t, log_evidence=t.fit.log_likelihood - cost))
@@ -659,8 +660,8 @@ class Search:
         if not instruments:
             self.doubts = tuple(d for d in self.doubts if not curves or d.kind != "instrument_warm_up")
             return members
-        beside = self.refits.of_curves(curves[-1], 2, [t.columns for t in out])[0] - costs
-        if beside - self.refits.of_curves(curves[-1], 2)[0] < len(out) * (self._prior_odds + SURE):
+        beside = self.refits.of_curves(curves[-1], [t.columns for t in out])[0] - costs
+        if beside - self.refits.of_curves(curves[-1])[0] < len(out) * (self._prior_odds + SURE):
             return []
         self._doubt_warm_up(instruments[0], fatal=not out)
         return self.refits.in_order(out)
@@ -688,7 +689,7 @@ class Search:
             return True
         part = top.columns @ top.fit.values[width : width + top.columns.shape[1]]
         curves = warm_up_curves(self.readings, unknown.channels, part)
-        if not curves or top.log_evidence - self.refits.of_curves(curves, 2)[0] >= SURE:
+        if not curves or top.log_evidence - self.refits.of_curves(curves)[0] >= SURE:
             return False
         self.doubts = (*self.doubts, own_warm_up(f"A curve over {' and '.join(unknown.channels)}"))
         return True
@@ -822,7 +823,7 @@ class Search:
         found = [-math.inf]
         for curve in over_time(top, self.readings):
             fit = self.refits.fit(np.concatenate([self.prepared.base, best.columns, curve], axis=1))
-            found.append(fit.log_likelihood - cost - 0.5 * curve.shape[1] * math.log(len(self.readings)))
+            found.append(fit.log_likelihood - cost - bic_cost(curve.shape[1], len(self.readings)))
         return max(found)
 
     def _pair(self, refitted: Sequence[Refitted]) -> tuple[tuple[Refitted, Refitted] | None, list[Refitted]]:
@@ -876,7 +877,7 @@ class Search:
         width = self.prepared.base.shape[1]
         part = second.fit.columns[:, width:] @ second.fit.values[width:]
         curves = warm_up_curves(self.readings, (*self._channels(first), *self._channels(second)), part)
-        return bool(curves) and second.log_evidence - self.refits.of_curves(curves, 2)[0] < self._prior_odds + SURE
+        return bool(curves) and second.log_evidence - self.refits.of_curves(curves)[0] < self._prior_odds + SURE
 
     def _leaner(self, refitted: Sequence[Refitted], evidence: float) -> list[Refitted]:
         """Plain effects that are together likelier than an answer with many numbers; empty where none are.

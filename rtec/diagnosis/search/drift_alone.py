@@ -16,7 +16,7 @@ from rtec.diagnosis.search.refit import Refits
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import FINE, LEAN, LINE, PLANE, Ground, Shape, weigh_all
 from rtec.diagnosis.search.unnamed import Shaped
-from rtec.estimation.gls import fit_columns
+from rtec.estimation.gls import bic_cost, fit_columns
 from rtec.estimation.noise import Whitener, without_drift
 from rtec.estimation.readings import Readings
 
@@ -74,8 +74,9 @@ def _best(noise: Whitener, base: Floats, ground: Ground, shapes: list[Shape]) ->
     picked = {
         w.shape: w.count for s in starts for w in weigh_all(ground, Projected.of(s, base, values), shapes)[:TRIED]
     }
-    half = 0.5 * math.log(len(values))
-    fitted = (likely(np.concatenate([base, ground.columns(s)], axis=1)) - half * count for s, count in picked.items())
+    fitted = (
+        likely(np.concatenate([base, ground.columns(s)], axis=1)) - bic_cost(k, len(values)) for s, k in picked.items()
+    )
     return max(fitted, default=-math.inf) - likely(base)
 
 

@@ -10,6 +10,7 @@ from rtec.diagnosis.result import Absent, Finding, NotTestable
 from rtec.diagnosis.search.screen import Screen
 from rtec.estimation.candidates import Untried
 from rtec.estimation.floor import unit_of
+from rtec.estimation.gls import bic_cost
 
 SURE = math.log(20.0)
 """Log odds required beyond the prior odds of any effect at all."""
@@ -83,7 +84,7 @@ def absent_effects(
             continue
         # Evidence ln m needs a gain in log likelihood of ln m + ½ (k + n_θ) ln n.
         searched = math.log(len(candidate.thetas))
-        need = 2.0 * (family + searched + 0.5 * v.count * math.log(n)) * noise
+        need = 2.0 * (family + searched + bic_cost(v.count, n)) * noise
         plain = np.sqrt(v.squares @ scale**2 / len(readings))
         seen = v.size[:, 1]
         good = seen > 0

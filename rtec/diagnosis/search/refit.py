@@ -33,7 +33,7 @@ from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.effects.cyclic import Cyclic
 from rtec.estimation.candidates import REAL, EffectCandidate
-from rtec.estimation.gls import ROUNDS, Fit, HeldOutGain, fit_columns, held_out_gain, solve, without_nuisance
+from rtec.estimation.gls import ROUNDS, Fit, HeldOutGain, bic_cost, fit_columns, held_out_gain, solve, without_nuisance
 from rtec.estimation.noise import Whitener, find_noise, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.targets import WAVES, predicts_targets
@@ -805,7 +805,7 @@ class Refits:
         base = np.concatenate([self.prepared.base, *apart], axis=1)
         plane = replace(shape, fine=(1,) * len(shape.fine)) if shape.period is None else shape
         for columns in (top.columns, ground.columns(plane)):
-            cost = 0.5 * columns.shape[1] * math.log(len(self.readings))
+            cost = bic_cost(columns.shape[1], len(self.readings))
             if self._gain_beside(base, columns, self.readings) - cost > UNSURE:
                 return ()
         return given
@@ -840,12 +840,11 @@ class Refits:
         first = t.fit.values[self.prepared.base.shape[1]]
         return bool(abs(along[best]) > AGAIN * abs(first) * max(float(squares[best]), 1e-12))
 
-    def of_curves(self, curves: Sequence[Floats], searched: int, beside: Sequence[Floats] = ()) -> tuple[float, Floats]:
+    def of_curves(self, curves: Sequence[Floats], beside: Sequence[Floats] = ()) -> tuple[float, Floats]:
         """Log evidence of the best of several curves over the current model, and its columns.
 
         Args:
-            curves: columns for each value of the searched parameters, (m, k) each.
-            searched: number of searched parameters.
+            curves: columns for each value of the two searched parameters, (m, k) each.
             beside: columns of effects beside them, which cost nothing, (m, k) each.
         """
         base, best = np.concatenate([self.prepared.base, *beside], axis=1), (-math.inf, curves[0])
@@ -854,7 +853,7 @@ class Refits:
             squares = [float(np.sum((orthonormal(known.take_out(noise(c))).T @ known.left) ** 2)) for c in curves]
             columns = curves[int(np.argmax(squares))]
             fit = self.fit(np.concatenate([base, columns], axis=1))
-            gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + searched)
+            gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + 2)
             best = max(best, (gain - self.current.log_likelihood, columns), key=lambda b: b[0])
         return best
 

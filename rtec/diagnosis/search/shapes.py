@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.screen import ABSORBED, Projected, norms
 from rtec.estimation.candidates import real
+from rtec.estimation.gls import bic_cost
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
@@ -321,7 +322,7 @@ def weigh(projected: Projected, columns: Floats, searched: int = 0) -> tuple[int
     """
     white = projected.whitener(columns)
     found = _weigh(projected, norms(white)[None], projected.take_out(white).T[None])
-    return found[0] and (found[0][0], found[0][1], found[0][2] - 0.5 * searched * float(np.log(len(white))))
+    return found[0] and (found[0][0], found[0][1], found[0][2] - bic_cost(searched, len(white)))
 
 
 def weigh_all(ground: Ground, projected: Projected, shapes: Iterable[Shape]) -> list[Weighed]:
@@ -342,8 +343,7 @@ def weigh_all(ground: Ground, projected: Projected, shapes: Iterable[Shape]) -> 
 
 
 def _weighed(projected: Projected, shape: Shape, found: tuple[int, float, float]) -> Weighed:
-    searched = 0.5 * shape.searched * np.log(len(projected.left))
-    return Weighed(shape, found[0], found[1], found[2] - float(searched))
+    return Weighed(shape, found[0], found[1], found[2] - bic_cost(shape.searched, len(projected.left)))
 
 
 def _chunks(shapes: Iterable[Shape]) -> Iterator[list[Shape]]:

@@ -11,7 +11,7 @@ from rtec.diagnosis.search.screen import Projected, orthonormal
 from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes
 from rtec.estimation import floor
 from rtec.estimation.display import display_errors, within_display
-from rtec.estimation.gls import Fit, HeldOutGain, along_runs, solve
+from rtec.estimation.gls import Fit, HeldOutGain, along_runs, bic_cost, solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
 from rtec.machine import Machine
@@ -88,7 +88,7 @@ def best_shapes(
         found = fit(np.concatenate([base, columns], axis=1))
         evidence = found.log_likelihood - current.log_likelihood
         local = w.shape.searched if w.shape.place is not None else 0
-        evidence -= 0.5 * (w.count + local) * math.log(len(readings)) + searched
+        evidence -= bic_cost(w.count + local, len(readings)) + searched
         return Shaped(w.shape, columns, found, evidence, *held_out_gain(found.whitener, columns))
 
     errors = display_errors(readings, base)
@@ -230,7 +230,7 @@ def curves_of(
                 shape = replace(shape, over=(name, way), fine=(fine, 1))
             found = fit(np.concatenate([base, columns], axis=1))
             evidence = found.log_likelihood - current.log_likelihood
-            evidence -= 0.5 * columns.shape[1] * math.log(len(readings))
+            evidence -= bic_cost(columns.shape[1], len(readings))
             made.append(Shaped(shape, columns, found, evidence, 0.0, 0.0))
         likely = max(made, key=lambda t: t.log_evidence)
         return replace(likely, **held_out_gain(likely.fit.whitener, likely.columns)._asdict())

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_scatter
 from rtec.estimation.gram.source import Source, project
-from rtec.estimation.kinds import SIGMA_PER_MAD
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ def rough_noise(source: Source) -> Floats:
         step = np.diff(column)[inside]
         step = step[np.isfinite(step)]
         spread = np.nanstd(column) if np.isfinite(column).any() else 1.0
-        robust = SIGMA_PER_MAD * np.median(np.abs(step - np.median(step))) / np.sqrt(2.0) if len(step) else 0.0
+        robust = robust_scatter(step) / np.sqrt(2.0)
         out[j] = max(robust, LEAST * spread) or 1.0
     return out
 

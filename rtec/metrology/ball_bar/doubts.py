@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import robust_sigma
 from rtec.metrology.ball_bar.causes import UNITS, Cause, causes, tip_um
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.ball_bar.design import SETTING_UP, Centre
@@ -182,7 +183,7 @@ def _wrong(circle: CircleTest, left: Floats, window_deg: float) -> tuple[str, ..
     looked = ~circle.near_quadrant(window_deg)
     steps = np.diff(np.unique(circle.reading_um))
     least = max(NOISE_UM, 0.5 * float(np.median(steps)) if len(steps) else 0.0)
-    noise = max(1.4826 * float(np.median(np.abs(off[looked]))) if looked.any() else 0.0, least)
+    noise = max(robust_sigma(off[looked]), least)
     wrong = np.flatnonzero(looked & (np.abs(off) > WRONG * noise))
     if not len(wrong):
         return ()

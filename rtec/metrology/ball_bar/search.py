@@ -11,7 +11,7 @@ there must not influence the other parameters.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -164,8 +164,8 @@ SEEN = 0.99
 SWAPS, SMALLEST_SWAP = 3, 0.1
 """Causes are exchanged for others that explain more: at most so many times, for at least so many variances."""
 NOISE_ROUNDS = 2
-FINER = 12
-"""Steps of the golden section for the distance to a spike's top."""
+CLOSE = 1e-3
+"""Tolerance of the logarithm of the distance to a spike's top."""
 
 
 @dataclass(frozen=True)
@@ -403,6 +403,8 @@ def _pick(work: SearchState, stays: Sequence[int], place: int, chance: float) ->
     candidate = work.table.separated[place]
     if candidate.kind != "spike":
         return Pick(candidate, chance=chance)
+    from scipy.optimize import minimize_scalar
+
     basis, left = work.beside([i for i in stays if i != place])
 
     def made(log_way: float) -> Floats:
@@ -411,7 +413,9 @@ def _pick(work: SearchState, stays: Sequence[int], place: int, chance: float) ->
 
     ways, at = np.log(candidate.ways_mm), work.way[place]
     ends = float(ways[max(at - 1, 0)]), float(ways[min(at + 1, len(ways) - 1)])
-    way = _golden(lambda x: gain(basis, left, made(x)), *ends)
+    way = minimize_scalar(
+        lambda x: -gain(basis, left, made(x)), bounds=ends, method="bounded", options={"xatol": CLOSE}
+    ).x
     own = made(way)
     heights = np.linalg.lstsq(own - basis @ (basis.T @ own), left, rcond=None)[0]
     return Pick(candidate, float(np.exp(way)), tuple(float(h) for h in heights), chance)
@@ -425,24 +429,6 @@ def _at_best(work: SearchState, picks: Sequence[Pick]) -> Iterator[tuple[Floats,
         if candidate.name in ways:
             own = stacked_design(candidate.make(ways[candidate.name]), work.table.circles)
         yield (own,)
-
-
-def _golden(gain: Callable[[float], float], low: float, high: float) -> float:
-    """Argument of the largest gain between two ends, by golden section."""
-    part = 0.5 * (np.sqrt(5.0) - 1.0)
-    ends = [low, high]
-    inner = [high - part * (high - low), low + part * (high - low)]
-    values = [gain(inner[0]), gain(inner[1])]
-    for _ in range(FINER):
-        if values[0] > values[1]:
-            ends[1], inner[1], values[1] = inner[1], inner[0], values[0]
-            inner[0] = ends[1] - part * (ends[1] - ends[0])
-            values[0] = gain(inner[0])
-        else:
-            ends[0], inner[0], values[0] = inner[0], inner[1], values[1]
-            inner[1] = ends[0] + part * (ends[1] - ends[0])
-            values[1] = gain(inner[1])
-    return 0.5 * (ends[0] + ends[1])
 
 
 def _limits(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[NotFound]:

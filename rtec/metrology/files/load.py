@@ -385,9 +385,7 @@ def _by_order(axis: Axis, position_mm: Floats) -> Floats | None:
 __all__ = ["Leniency", "load_measurement", "load_measurements", "save_measurement"]
 
 
-def load_measurements(
-    paths: Iterable[Path], machine: Machine, leniency: Leniency | None = None
-) -> tuple[Measurement, ...]:
+def load_measurements(paths: Iterable[Path], machine: Machine) -> tuple[Measurement, ...]:
     """Read several measurements; the faults of all of them are reported together.
 
     Raises:
@@ -396,7 +394,7 @@ def load_measurements(
     read, faults = [], []
     for path in paths:
         try:
-            read.append(load_measurement(path, machine, leniency))
+            read.append(load_measurement(path, machine))
         except MeasurementError as e:
             faults.append(str(e))
     if faults:

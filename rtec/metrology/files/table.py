@@ -20,14 +20,14 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.errors import MeasurementError
+from rtec.errors import MeasurementError, first_line
 from rtec.files import check_size
 from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.toml import Leniency
+from rtec.text import NUMBER
 
 NANS = ("nan", "NaN", "NAN", "-nan", "-NaN")
 NO_VALUE = frozenset({"", *NANS})
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 # `float` reads texts of these letters only where `NUMBER` allows them.
 PLAIN_ROW = re.compile(r"[0-9eE.+-]*", re.ASCII)
 INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
@@ -82,7 +82,7 @@ class Cells:
             return math.nan, None
         # "1.234" among decimal commas is ambiguous, 1234 or 1.234: it is refused.
         dotted = text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
-        if NUMBER.fullmatch(dotted):
+        if re.fullmatch(NUMBER, dotted):
             return float(dotted), None
         if INFINITE.fullmatch(text):
             return math.inf, None
@@ -94,7 +94,7 @@ class Cells:
                 "has a decimal comma or a thousands separator",
                 f'a decimal comma: {self.where} decimal = ","; a thousands separator: write numbers without',
             )
-        if self.decimal == "," and NUMBER.fullmatch(text):
+        if self.decimal == "," and re.fullmatch(NUMBER, text):
             return "has a decimal point where decimal = ',' was said", "make the table use one of the two"
         if re.fullmatch(r"[+-]?\d{1,3}([,.' \u00a0\u202f’]\d{3})+([.,]\d+)?", text):
             return "has thousands separators", "write numbers without, or convert with `rtec import` (thousands = …)"
@@ -412,7 +412,7 @@ def read_own(path: Path, text: Text | None, leniency: Leniency, names: Sequence[
             for name in list(out):
                 cell = row[places_of[name]] if len(row) > places_of[name] else ""
                 number = cell if leniency.decimal == "." else cell.replace(",", ".")
-                if NUMBER.fullmatch(number):
+                if re.fullmatch(NUMBER, number):
                     out[name].append(float(number))
                 elif cell in NO_VALUE or cell in leniency.missing_codes:
                     out[name].append(math.nan)
@@ -430,7 +430,7 @@ def parquet_names(path: Path) -> list[str]:
         with parquet.ParquetFile(path) as file:
             return list(file.schema_arrow.names)
     except (pa.ArrowException, ValueError, OSError, KeyError) as e:
-        raise MeasurementError(f"{path}: not a whole Parquet file: {_first_line(e)}") from e
+        raise MeasurementError(f"{path}: not a whole Parquet file: {first_line(e)}") from e
 
 
 def read_parquet(path: Path, used: Sequence[str], faults: Faults) -> Raw:
@@ -447,7 +447,7 @@ def read_parquet(path: Path, used: Sequence[str], faults: Faults) -> Raw:
         for name in table.column_names:
             columns[name] = floats(table.column(name).cast(pa.float64(), safe=False))
     except (pa.ArrowException, ValueError, OSError, KeyError) as e:
-        raise MeasurementError(f"{path}: cannot be read: {_first_line(e)}") from e
+        raise MeasurementError(f"{path}: cannot be read: {first_line(e)}") from e
     return Raw(columns, np.arange(1, n + 1), "row", np.zeros(n, dtype=np.bool_))
 
 
@@ -463,7 +463,3 @@ def _numeric(schema: Any, used: Sequence[str], faults: Faults) -> list[str]:
         else:
             faults.whole(f"column {name!r} is of type {kind}; write it as numbers (float64)")
     return out
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

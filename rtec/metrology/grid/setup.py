@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
@@ -91,9 +90,6 @@ def same_feed(one: float, other: float) -> bool:
     return not (np.isfinite(one) and np.isfinite(other)) or abs(one - other) <= FEED * max(abs(one), abs(other))
 
 
-Floats = NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class GridSetup:
     """A set-up with its straight pieces.
@@ -142,11 +138,11 @@ def analyse(
     return replace(out, items=tuple(_items(out)))
 
 
-def squareness_of(setup: GridSetup, feed_mm_min: float | None = None) -> tuple[float, float] | None:
+def squareness_of(setup: GridSetup) -> tuple[float, float] | None:
     """`ER0b` at the corner, µrad, and its standard error; None where an edge is missing."""
     slopes = []
     for along in (0, 1):
-        chosen = at_corner(setup, along, feed_mm_min)
+        chosen = at_corner(setup, along)
         if not chosen:
             return None
         slopes.append(_slope(chosen, setup.lean.signs[along]))

@@ -329,7 +329,7 @@ def import_to_files(
     if machine is None:
         write_files(table, done.columns, head, how.setup, accepted)
         return replace(done, table=table)
-    with _put_in_place_at_end(table) as new:
+    with _replacing(table) as new:
         write_files(new, done.columns, head, how.setup, accepted)
         try:
             read = load_measurement(new, machine)
@@ -339,7 +339,7 @@ def import_to_files(
 
 
 @contextmanager
-def _put_in_place_at_end(table: Path) -> Iterator[Path]:
+def _replacing(table: Path) -> Iterator[Path]:
     """A place beside a table, from which it and its TOML move to their own places; after an error nothing is there."""
     try:
         table.parent.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 """Converts a file's times to seconds, and decides where runs begin."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, tzinfo
 from typing import Any
 
@@ -14,6 +14,7 @@ from rtec.metrology.importing.map import Run, Time
 from rtec.metrology.importing.zones import ABSOLUTE, SUCH_AS, dated, in_utc, parsed, written, zone_of
 from rtec.metrology.readers.base import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, Floats, ForeignTable, Ints
 from rtec.metrology.units import convert
+from rtec.quantities import DAY_S
 from rtec.tomlfile import nearest
 from rtec.wording import counted
 
@@ -67,11 +68,27 @@ def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
     if len(lost):
         line = f"{source}: line {table.lines[lost[0]]}: no time ({len(lost)} rows in all)"
         raise MeasurementError(f"{line}; leave them out: [rows] require = [{time.column!r}]")
-    return replace(_put_in_order(time_s, epoch, table, time, source, zone, has_date=has_date), zone=zone)
+    notes: list[str] = []
+    if epoch is not None and not has_date and not time.restarts:
+        time_s = _over_midnight(time_s, notes)
+    falls = np.flatnonzero(np.diff(time_s) < 0) + 1
+    if len(falls) and not time.restarts:
+        unknown_zone = epoch is not None and zone is None
+        raise MeasurementError(f"{source}: line {table.lines[falls[0]]}: {_fault(time_s, falls, unknown_zone)}")
+    if len(falls):
+        time_s = _one_clock(time_s, falls, time.restart_gap_s, notes)
+    first = epoch + timedelta(seconds=float(time_s[0])) if epoch is not None and len(time_s) else None
+    if first is not None and has_date:
+        notes.append(f"time 0 is {said(first, zone)}")
+        time_s = time_s - time_s[0]
+    elif time.from_zero and len(time_s) and time_s[0] != 0.0:
+        notes.append(f"time 0 is {time_s[0]:.10g} s of the file")
+        time_s = time_s - time_s[0]
+    return RowClock(time_s, falls, tuple(notes), first if has_date else None, first, zone)
 
 
 STANDS_MM = 1e-3
-DAY_S, HOUR_S = 86_400.0, 3_600.0
+HOUR_S = 3_600.0
 EPOCHS = {"filetime": (EPOCH_FILETIME, 1e-7), "excel": (EPOCH_EXCEL, 86400.0), "unix": (EPOCH_UNIX, 1.0)}
 
 
@@ -115,48 +132,32 @@ def _of_day(
     return out, first, zone
 
 
-def _put_in_order(
-    time_s: Floats,
-    epoch: datetime | None,
-    table: ForeignTable,
-    time: Time,
-    source: str,
-    zone: tzinfo | None,
-    *,
-    has_date: bool,
-) -> RowClock:
-    notes = []
-    if epoch is not None and not has_date and not time.restarts:
-        midnights = np.diff(time_s, prepend=time_s[:1]) < -DAY_S / 2
-        time_s = time_s + DAY_S * np.cumsum(midnights)
-        if midnights.any():
-            notes.append(f"times of day without a date pass midnight {counted(int(midnights.sum()), 'time')}")
-    falls = np.flatnonzero(np.diff(time_s) < 0) + 1
-    if len(falls) and not time.restarts:
-        i = falls[0]
-        if epoch is not None and zone is None and _falls_by_an_hour(time_s):
-            raise MeasurementError(
-                f"{source}: line {table.lines[i]}: local time falls by an hour, as at the end of summer time; say the "
-                f"time zone: [time] zone = …, {SUCH_AS}"
-            )
-        raise MeasurementError(
-            f"{source}: line {table.lines[i]}: time falls from {time_s[i - 1]:.10g} to {time_s[i]:.10g} s "
-            f"({len(falls)} times in all); if every run starts its clock again: [time] restarts = true, "
-            "else put the rows in order"
+def _over_midnight(time_s: Floats, notes: list[str]) -> Floats:
+    """Times of day without a date, going on over midnight."""
+    midnights = np.diff(time_s, prepend=time_s[:1]) < -DAY_S / 2
+    if midnights.any():
+        notes.append(f"times of day without a date pass midnight {counted(int(midnights.sum()), 'time')}")
+    return np.asarray(time_s + DAY_S * np.cumsum(midnights))
+
+
+def _fault(time_s: Floats, falls: Ints, unknown_zone: bool) -> str:
+    """What is wrong with times that fall, and the remedy."""
+    if unknown_zone and _falls_by_an_hour(time_s):
+        return (
+            f"local time falls by an hour, as at the end of summer time; say the time zone: [time] zone = …, {SUCH_AS}"
         )
-    if len(falls):
-        later = np.zeros(len(time_s))
-        later[falls] = time_s[falls - 1] + time.restart_gap_s - time_s[falls]
-        time_s = time_s + np.cumsum(later)
-        notes.append(f"the clock starts again {len(falls)} times; {time.restart_gap_s:g} s are put between")
-    first = epoch + timedelta(seconds=float(time_s[0])) if epoch is not None and len(time_s) else None
-    if first is not None and has_date:
-        notes.append(f"time 0 is {said(first, zone)}")
-        time_s = time_s - time_s[0]
-    elif time.from_zero and len(time_s) and time_s[0] != 0.0:
-        notes.append(f"time 0 is {time_s[0]:.10g} s of the file")
-        time_s = time_s - time_s[0]
-    return RowClock(time_s, falls, tuple(notes), first if has_date else None, first)
+    return (
+        f"time falls from {time_s[falls[0] - 1]:.10g} to {time_s[falls[0]]:.10g} s ({len(falls)} times in all); if "
+        "every run starts its clock again: [time] restarts = true, else put the rows in order"
+    )
+
+
+def _one_clock(time_s: Floats, falls: Ints, gap_s: float, notes: list[str]) -> Floats:
+    """Times of a clock that starts again at some rows, with a gap before each of them."""
+    later = np.zeros(len(time_s))
+    later[falls] = time_s[falls - 1] + gap_s - time_s[falls]
+    notes.append(f"the clock starts again {len(falls)} times; {gap_s:g} s are put between")
+    return np.asarray(time_s + np.cumsum(later))
 
 
 def said(moment: datetime, zone: tzinfo | None) -> str:

@@ -15,8 +15,8 @@ from rtec.errors import MeasurementError
 from rtec.metrology.files.table import Floats
 from rtec.metrology.importing.clock import RowClock, said
 from rtec.metrology.importing.zones import SUCH_AS
+from rtec.quantities import DAY_S
 
-DAY_S = 86400.0
 LONGEST_GAP_S, LONGEST_GAP_STEPS = 600.0, 3.0
 """Between two readings of a log the temperature is interpolated, and a speed held, where they are at most so far apart,
 or so many of the log's usual steps."""

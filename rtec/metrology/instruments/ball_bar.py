@@ -34,7 +34,6 @@ from rtec.metrology.instruments.base import (
 )
 from rtec.quantities import Degrees, Millimetres, MillimetresPerMinute, MillimetresPositive, Vector
 
-Positive = Annotated[float, Field(gt=0)]
 Plane = Literal["XY", "YZ", "ZX", "XZ"]
 JUST_BEFORE_RAD = 1e-6
 """Angle before a turning point at which the direction is taken: at the point itself the axis keeps its last one."""

@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from rtec.errors import MeasurementError
+from rtec.errors import MeasurementError, first_line
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.table import floats
 from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, Texts, decoded, with_unit
 from rtec.metrology.units import UNITS, canonical
+from rtec.text import NUMBER
 
 DELIMITERS = (";", "\t", ",", "|")
 BEYOND_ASCII = 0x80
 FEW = 1000
 """Number of rows that decide which columns are numbers; a shorter table is read cell by cell."""
 NANS = ("nan", "NaN", "NAN")
-NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 
 
 def read(path: Path, source: SourceOptions, where: str = WHERE) -> list[ForeignTable]:
@@ -192,7 +192,7 @@ def _cells(path: Path, rows: _Lines, names: list[str], source: SourceOptions, wh
         table = _parsed(rows, names, source, dict.fromkeys(names, pa.string()))
     except (pa.ArrowException, ValueError) as e:
         _tell_widths(path, rows, len(names), source, where)
-        raise MeasurementError(f"{path}: not a table divided by {source.delimiter!r}: {str(e).splitlines()[0]}") from e
+        raise MeasurementError(f"{path}: not a table divided by {source.delimiter!r}: {first_line(e)}") from e
     if table.num_rows != len(rows.at):
         raise MeasurementError(f"{path}: {len(rows.at)} lines and {table.num_rows} rows: a quote is not closed?")
     return table
@@ -295,7 +295,7 @@ def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Text
         # A remaining point may be a decimal point or a thousands separator: such a column is not numeric.
         plain = compute.replace_substring(compute.replace_substring(plain, ".", "?"), ",", ".")
     plain = compute.if_else(blank, pa.scalar(None, pa.string()), compute.utf8_ltrim(plain, "+"))
-    number = compute.fill_null(compute.match_substring_regex(plain, NUMBER), True)
+    number = compute.fill_null(compute.match_substring_regex(plain, f"^{NUMBER}$"), True)
     first = compute.index(number, False).as_py()
     if first < 0:
         values = floats(plain.cast(pa.float64()))

@@ -17,8 +17,8 @@ import numpy as np
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, Texts, decoded
 from rtec.metrology.units import canonical
+from rtec.text import NUMBER
 
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 VALUE = re.compile(rf"(TGT_DATA|REF_DATA_FWD|REF_DATA_BWD)\[(\d{{1,6}})(?:,(\d{{1,6}}))?\]=\s*({NUMBER})\s*", re.ASCII)
 KEY = re.compile(r"(UNIT|CYCLES|POSITIONS|DEC|REF_PV|TEST_PV|TGT_SET_PV|TEST_DATA)=(.*)")
 MOST = 10_000_000

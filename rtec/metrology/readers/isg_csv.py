@@ -22,6 +22,7 @@ import numpy as np
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, decoded
+from rtec.text import NUMBER
 
 ARGUMENTS = {"X": "mm", "Y": "mm", "Z": "mm", "A": "deg", "B": "deg", "C": "deg"}
 COMPONENT = re.compile(r"E([XYZABC])[XYZABC]")
@@ -116,7 +117,7 @@ def _rows(block: Sequence[tuple[int, list[str]]], width: int, faults: Faults) ->
             continue
         row = []
         for cell in cells:
-            if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell, re.ASCII):
+            if not re.fullmatch(NUMBER, cell):
                 faults.row("number", line, f"{cell!r} is no number", "numbers have decimal points here")
                 row.append(np.nan)
             else:

@@ -37,7 +37,6 @@ class KernelSource:
         sensors: indices of the sensors that the model reads.
         uses_spindle: whether it reads the spindle speed.
         constants: those of the machine's constant channels that it reads (load, force).
-        uses_time: whether it reads the time.
         arrays: what `fast_part` takes behind `m`, one array over the axes each: always `q` (positions) and `d`
             (directions), then those of `vel`, `acc` and `since` that the model reads.
         moving: indices of the axes whose velocity or acceleration it reads.
@@ -50,7 +49,6 @@ class KernelSource:
     sensors: tuple[int, ...]
     uses_spindle: bool
     constants: tuple[str, ...]
-    uses_time: bool
     arrays: tuple[str, ...]
     moving: tuple[int, ...]
     lags: int
@@ -74,7 +72,6 @@ def write_kernel(model: Model) -> KernelSource:
         sensors=tuple(i for i, s in enumerate(model.machine.sensor_names) if s in inputs),
         uses_spindle="spindle_rpm" in inputs,
         constants=tuple(c for c in CONSTANT_CHANNELS if c in inputs),
-        uses_time="time_s" in inputs,
         arrays=writer.arrays,
         moving=tuple(i for i, a in enumerate(axes) if inputs & {a.velocity_channel, a.acceleration_channel}),
         lags=len(plan.lags),

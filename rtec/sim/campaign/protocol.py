@@ -24,6 +24,7 @@ from rtec.errors import ConfigError
 from rtec.jit import njit
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
+from rtec.quantities import DAY_S
 from rtec.sim.campaign.cycle import MOST_ROWS, Cycle
 from rtec.sim.campaign.settings import DayPhase, ReadingNoise, SensorBody, Sensors, Settings, Targets, Thermal
 from rtec.tomlfile import nearest
@@ -274,7 +275,6 @@ def _resting(name: str, values: Floats, n: int) -> Floats:
     return np.zeros(n) if name.startswith(("v_", "a_")) else np.full(n, values[-1])
 
 
-DAY_S = 86400.0
 SPINDLE_POWER = 1.2
 
 

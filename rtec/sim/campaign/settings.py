@@ -181,8 +181,6 @@ class ReadingNoise(Strict):
     lost: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
 
-QUIET = ReadingNoise(white_um=0.0)
-PERFECT = Sensors(offset_degc=0.0, noise_degc=0.0, lag_s=0.0, resolution_degc=0.0)
 Preset = Literal["warm_up", "cold", "drift", "parts"]
 
 

@@ -19,13 +19,13 @@ MOST_NAMES = 8
 FORM = "write NAME,key=value,…, for example scale,component=EXX,axis=X,k=12"
 
 
-def truth_of(machine: Machine, known: Model | None = None, effects: Sequence[str] = (), name: str = "truth") -> Model:
+def truth_of(machine: Machine, known: Model | None = None, effects: Sequence[str] = ()) -> Model:
     """The true model: the effects of a model, then those of the texts.
 
     Raises:
         ModelError: a text is invalid; the message names it.
     """
-    base = known or Model(machine, name=name)
+    base = known or Model(machine, name="truth")
     added = tuple(effect_from_text(text, machine) for text in effects)
     model = Model(machine, (*base.effects, *added), name=base.name, reference_degc=base.reference_degc)
     model.check(base.name)

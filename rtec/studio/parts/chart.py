@@ -10,6 +10,7 @@ from nicegui.element import Element
 if TYPE_CHECKING:
     from rtec.studio.parts.session import TabSession
 
+MORPH_MS: Final = 1200
 PLOTLY: Final = str(Path(nicegui.__file__).parent / "elements" / "plotly" / "dist")
 
 
@@ -53,9 +54,9 @@ class Chart(Element, component="chart.js", esm={"nicegui-plotly": PLOTLY}):
         self._props["options"] = figure
         self.update()
 
-    def morph(self, figure: dict[str, Any], ms: int = 1200) -> None:
+    def morph(self, figure: dict[str, Any]) -> None:
         """Animate the points to those of another figure with the same number of points."""
-        self.run_method("morph", figure, ms)
+        self.run_method("morph", figure, MORPH_MS)
 
     def append(self, x: list[list[float]], y: list[list[float | None]], most: int) -> None:
         """Append points to each trace, and remove the oldest ones beyond `most`."""
