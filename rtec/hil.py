@@ -13,10 +13,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from rtec.arrays import Floats
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.tomlfile import nearest
 
@@ -24,8 +23,6 @@ WITHIN = 0.10
 """Share of the all-simulated run's improvement that real buses may cost."""
 LEAST_COMPARED_S = 5.0
 """Shortest time, s, that both runs must have in common for a judgement of the improvement."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from rtec.arrays import Floats, Ints
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.files import beside
@@ -21,8 +21,6 @@ from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 from rtec.tomlfile import Strict
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 OFFSETS = {"following_error": "following_error", "phase": "following_error", "origin_offset": "origin"}
 
 
@@ -91,7 +89,7 @@ G1 X40
     def __init__(self, options: SimOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
         self.options = options
         self._clock, self._start_ns = clock, -1
-        self._output: IntArray = np.zeros(len(machine.axes), np.int64)
+        self._output: Ints = np.zeros(len(machine.axes), np.int64)
         self.machine = SimulatedMachine(machine, load_truth(beside(base, options.truth)), options.seed)
         text = _program_text(options, base)
         if options.warm_up_s > 0:
@@ -110,13 +108,13 @@ G1 X40
             self._follow()
             self._start_ns = -1
 
-    def read_counts(self, counts: IntArray) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill in the raw counts; give the instant, ns of the clock, of the servo tick that latched them."""
         self._follow()
         counts[:] = self.machine.raw_counts
         return self._at(self.machine.time_ns)
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in temperatures, °C, and their instant; a new one once a second."""
         self._follow()
         degc[:], latched_ns = self.machine.temperatures()
@@ -131,7 +129,7 @@ G1 X40
         """Refuse all kinds but that of the options, and any other unit."""
         return differs(sink, self.options.actuator, self.options.unit_um)
 
-    def apply(self, output: IntArray) -> None:
+    def apply(self, output: Ints) -> None:
         """Set the absolute output: inserted counts, or units of `unit_um` in the other modes."""
         self._follow()
         self._output[:] = output
@@ -140,7 +138,7 @@ G1 X40
         else:
             self.machine.set_offset_um(self._output * self.options.unit_um, OFFSETS[self.options.actuator])
 
-    def read_output(self, output: IntArray) -> None:
+    def read_output(self, output: Ints) -> None:
         """Fill in the machine's output."""
         output[:] = self._output
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverUnavailable
 from rtec.quantities import Code, Coefficient, DegreesCelsius, Factor, SecondsPositive
 from rtec.tomlfile import Strict, nearest
@@ -68,8 +68,6 @@ def _table(kind: Kind) -> Any:
     return package.get(kind)
 
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 SAME = 1e-7
 """Relative tolerance: 9999.9 is 9999.900390625 on a bus that sends numbers of 32 bits."""
 COLD_JUNCTION_AGE_NS = 60_000_000_000
@@ -132,9 +130,9 @@ class _State:
 
 @dataclass(frozen=True)
 class _Snapshot:
-    index: IntArray
-    degc: FloatArray
-    time_ns: IntArray
+    index: Ints
+    degc: Floats
+    time_ns: Ints
 
 
 class TemperatureReadings:
@@ -189,7 +187,7 @@ class TemperatureReadings:
         for name in names:
             self._faults[name] = why
 
-    def fill(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def fill(self, degc: Floats, time_ns: Ints) -> None:
         """Write the newest valid values, °C, and their instants, ns, into the machine's arrays; change no others."""
         newest = self._snapshot
         degc[newest.index] = newest.degc

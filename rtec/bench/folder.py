@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.bench.score import VERDICTS, TrialAnswer
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import GROUPS, Right, Trial, build, trials
@@ -18,7 +18,6 @@ from rtec.model import save_model
 from rtec.tomlfile import read_toml
 
 PLAN, ANSWERS, SETS, PREDICTED = "benchmark.toml", "answers.csv", "sets", "predicted.csv"
-Floats = NDArray[np.float64]
 HEAD = ("set", "verdict", "names", "claimed", "variables", "doubts", "seconds")
 
 

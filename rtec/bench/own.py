@@ -6,8 +6,8 @@ from multiprocessing import get_context
 from time import process_time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.bench.score import TrialAnswer
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import Right, Trial
@@ -18,8 +18,6 @@ from rtec.effects import Effect
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.parallel import one_blas_thread
-
-Floats = NDArray[np.float64]
 
 IMPROVED = ("plates", "improve")
 """Groups that are answered by `rtec improve`, which adds several effects."""

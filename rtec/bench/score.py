@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.bench.rig.campaign import FORMS
 from rtec.bench.trials import Names, Right, Trial
 from rtec.errors import MeasurementError
@@ -16,8 +16,6 @@ VERDICTS = ("nothing_missing", "undecided", "missing_effect", "ambiguous", "unkn
 CLAIMS = ("missing_effect", "ambiguous")
 NEAR = 1.1
 """An error on held-out runs counts as equally good up to this multiple of the true law's error, or of the noise."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

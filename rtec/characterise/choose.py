@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.characterise.candidates import (
     BEND,
     EVERY_MACHINE,
@@ -31,8 +31,6 @@ from rtec.estimation.candidates import on_part
 from rtec.estimation.gram.normal import NOTHING, Normal, ridged, solve, squares_left
 from rtec.estimation.gram.stream import Progress
 from rtec.machine.chain import component_unit
-
-Floats = NDArray[np.float64]
 
 NEAR = 0.02
 """Held-out errors that differ by less than this share do not decide."""
@@ -92,8 +90,6 @@ def _difference_um(table: "HeldOutTable", one: Sequence[int], other: Sequence[in
     square = float(difference @ part.total[:-1, :-1] @ difference)
     return float(np.sqrt(max(square, 0.0) / table.freedom))
 
-
-Ints = NDArray[np.int64]
 
 SHORTLIST = 40
 """Number of candidates, those that explain most in sample, that each step evaluates on the held-out blocks."""
@@ -307,9 +303,7 @@ def _plain(candidate: TermCandidate) -> bool:
     return candidate.effect in PLAIN or bent
 
 
-def _shown(
-    normal: Normal, columns: Sequence[Ints], offered: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], dict[int, list[int]]]:
+def _shown(normal: Normal, columns: Sequence[Ints], offered: Bools) -> tuple[Bools, dict[int, list[int]]]:
     """Whether the readings show each candidate, and its column is not that of an earlier one (offered ones are first).
 
     And for each of these candidates the ones with the same column.

@@ -12,15 +12,13 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.characterise.result import Warn
 from rtec.estimation.gram.source import Source, reads
 from rtec.estimation.visible import moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.grid_encoder import GridEncoder
-
-Bools = NDArray[np.bool_]
 
 PARTS = 3
 LEAST = 5
@@ -34,7 +32,7 @@ SAME_MM = 0.02
 """Readings nearer than this to each other are at one place."""
 
 
-def places_mm(sources: Sequence[Source], component: str, axis: Axis) -> NDArray[np.float64]:
+def places_mm(sources: Sequence[Source], component: str, axis: Axis) -> Floats:
     """Places of an axis at which a component was read while the axis moved, rising, mm; empty where it did not."""
     mine = [
         s.measurement.channels[axis.channel]
@@ -44,7 +42,7 @@ def places_mm(sources: Sequence[Source], component: str, axis: Axis) -> NDArray[
     return np.asarray(np.unique(np.round(np.concatenate(mine) / SAME_MM)) * SAME_MM) if mine else np.zeros(0)
 
 
-def highest_degree(places: NDArray[np.float64], axis: Axis) -> int:
+def highest_degree(places: Floats, axis: Axis) -> int:
     """Highest degree of a polynomial over the travel that readings at some places, mm, determine.
 
     The least of three limits. At the ends of the travel the Chebyshev polynomial, which grows fastest of all that are
@@ -90,7 +88,7 @@ def accelerated(sources: Sequence[Source], component: str, axis: Axis) -> bool:
     return bool(len(_known_rate([s for s in sources if reads(s, component)], axis, axis.acceleration_channel)))
 
 
-def _known_rate(sources: Sequence[Source], axis: Axis, channel: str) -> NDArray[np.float64]:
+def _known_rate(sources: Sequence[Source], axis: Axis, channel: str) -> Floats:
     """Absolute values of a velocity or acceleration that are not zero; empty where a measurement did not record it."""
     known = [s.rate(axis, channel) for s in sources]
     whole = np.abs(np.concatenate([v for v in known if v is not None] or [np.zeros(0)]))
@@ -129,6 +127,6 @@ def _middle(axis: Axis, part: int) -> float:
     return round(low + (part + 0.5) * (high - low) / PARTS, 1)
 
 
-def _part(position_mm: NDArray[np.float64], axis: Axis) -> NDArray[np.int64]:
+def _part(position_mm: Floats, axis: Axis) -> Ints:
     low, high = axis.travel_mm
     return np.clip(((position_mm - low) / (high - low) * PARTS).astype(np.int64), 0, PARTS - 1)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.characterise.candidates import TermCandidate
 from rtec.characterise.screen import VISIBLE, residual_parts, simple
 from rtec.estimation.gram.normal import Normal
@@ -103,7 +104,7 @@ def groups_of(measurements: Sequence[Measurement]) -> list[Files]:
     return sorted(g for g in groups if len(g) < len(kinds))
 
 
-def decide(measurements: Sequence[Measurement], groups: Sequence[Files], takes: NDArray[np.float64]) -> OwnScale:
+def decide(measurements: Sequence[Measurement], groups: Sequence[Files], takes: Floats) -> OwnScale:
     """The group whose scale takes away most, and the others that do as well.
 
     A laser measures lengths by its wavelength: where a plate or a bar explains it as well, that has the other scale.

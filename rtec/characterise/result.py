@@ -4,15 +4,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import WrongReading
 from rtec.model import Model
 from rtec.result import Result
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.characterise.assemble import assemble, model_of
 from rtec.characterise.candidates import (
     EVERY_MACHINE,
@@ -67,7 +67,6 @@ from rtec.model import Model
 from rtec.parallel import one_blas_thread
 from rtec.wording import listed
 
-Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 """Progress callback: called with the name of a stage, the number of steps done, and their total."""
 

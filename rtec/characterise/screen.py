@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.characterise.candidates import TermCandidate, catalogue, extended, geometry, thermal
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind
@@ -24,8 +24,6 @@ from rtec.estimation.visible import (
 )
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
-
-Floats = NDArray[np.float64]
 
 READINGS = 20_000
 """Approximate largest number of instants of each measurement for the choice."""
@@ -243,7 +241,7 @@ def _turns(candidate: TermCandidate) -> bool:
     return component_unit(candidate.component) == "urad"
 
 
-def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Floats, float]:
+def residual_parts(normal: Normal, base: Ints) -> tuple[Floats, Floats, float]:
     """Residuals of each column and of the readings after a fit of the base and the explicit nuisance parameters.
 
     Returns:
@@ -264,7 +262,7 @@ def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Flo
     return np.maximum(d, 0.0), e, max(left, 1e-300)
 
 
-def residual_gram(normal: Normal, columns: NDArray[np.int64], base: NDArray[np.int64] | None = None) -> Floats:
+def residual_gram(normal: Normal, columns: Ints, base: Ints | None = None) -> Floats:
     """Gram matrix of some columns, orthogonal to a base and the explicit nuisance parameters."""
     total = normal.total
     known = np.arange(normal.width, len(total) - 1)

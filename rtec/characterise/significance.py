@@ -6,16 +6,13 @@ tests: with single blocks held out, and with the longer parts held out on which 
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.characterise.candidates import EVERY_MACHINE, every_machine_has
 from rtec.effects.thermal import AxisExpansion
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.normal import Normal
 from rtec.metrology.instruments.ball_bar import BallBar
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CHANCE = 0.05
 """Accepted false-positive rate of a term, over all candidates."""

@@ -6,8 +6,8 @@ Some are about the measurement, which no residual shows: targets in step with th
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.characterise.choose import SAME
 from rtec.characterise.coverage import cover_warnings, places_mm
 from rtec.characterise.result import UndecidedTerm, Warn
@@ -27,8 +27,6 @@ from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
 from rtec.wording import counted, significant
-
-Floats = NDArray[np.float64]
 
 SEEN_ALL_ROUND = 0.4
 """The periodic error shows if no gap between the readings' phases is larger (two phases: a half, three: a third)."""

@@ -20,7 +20,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtec.correction.quadrature import Bytes, DecoderState, Deltas, Ints, decode, lines_of, pack, phase_of, transitions
+from rtec.arrays import Ints
+from rtec.correction.quadrature import Bytes, DecoderState, Deltas, decode, lines_of, pack, phase_of, transitions
 from rtec.errors import ConfigError
 from rtec.jit import njit
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rtec.arrays import Ints
 from rtec.errors import ConfigError
 from rtec.jit import njit
 
@@ -132,7 +133,6 @@ def fill_transitions(samples: Any, bits: tuple[int, int], start: tuple[int, int]
 
 
 Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int64]
 Deltas = NDArray[np.int8]
 
 

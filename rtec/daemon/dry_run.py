@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtec.arrays import Ints
 from rtec.correction.flags import HOLD_REASONS, MODE_ON, REASONS, Flag
 from rtec.daemon.disk import folder_faults
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.output import beyond
-from rtec.loop.ports import IntArray
 from rtec.loop.records import NEVER_NS, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import units_of
@@ -116,7 +116,7 @@ def unlimited(setup: Setup) -> list[str]:
     ]
 
 
-def _read(ports: Ports, sample: Samples, zero: Zero, output: IntArray) -> list[str]:
+def _read(ports: Ports, sample: Samples, zero: Zero, output: Ints) -> list[str]:
     """Read everything once, the counts last, since they age first; give the faults, a line a device."""
     wrong = {}
     try:

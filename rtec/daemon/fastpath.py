@@ -23,6 +23,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Ints
 from rtec.correction.flags import MODE_HOLD, OUTPUT_TROUBLE
 from rtec.daemon.process import prepare_process, starter
 from rtec.daemon.published import Published
@@ -36,7 +37,7 @@ from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.output import beyond
-from rtec.loop.ports import IntArray, OneWay, Resumable
+from rtec.loop.ports import OneWay, Resumable
 from rtec.loop.records import MODES_BY_NAME, Commands, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import Saved, StateWriter, is_damaged, newest, state_text, structure_of, units_of
@@ -297,7 +298,7 @@ def _damaged(damaged: list[Path]) -> str:
     return f"the state that the run before kept in {places} is damaged, or of another version of rtec"
 
 
-def _reports_output(ports: Ports, output: IntArray) -> bool:
+def _reports_output(ports: Ports, output: Ints) -> bool:
     try:
         ports.actuator.read_output(output)
     except DriverError:
@@ -305,7 +306,7 @@ def _reports_output(ports: Ports, output: IntArray) -> bool:
     return True
 
 
-def first_counts(ports: Ports, counts: IntArray, clock: Clock, wait_s: float = FIRST_COUNTS_S) -> bool:
+def first_counts(ports: Ports, counts: Ints, clock: Clock, wait_s: float = FIRST_COUNTS_S) -> bool:
     """Read the counts, and wait for a device that sends them by itself; were there any?"""
     end_ns = clock.now_ns() + round(wait_s * 1e9)
     while True:
@@ -327,7 +328,7 @@ def _ready(step: Step, start: Start, warnings: list[str]) -> dict[str, Any]:
     }
 
 
-def _rehearse(setup: Setup, ports: Ports, output: IntArray | None) -> list[str]:
+def _rehearse(setup: Setup, ports: Ports, output: Ints | None) -> list[str]:
     """Run the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
 
     The step is a second one that keeps the actuator's output, even beyond a limit: nothing moves, nothing is

@@ -16,8 +16,8 @@ from multiprocessing.reduction import DupFd
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.daemon.ring import NOTE_BYTES, Note
 from rtec.errors import RtecError
 
@@ -112,7 +112,7 @@ class Published:
         """Works only while a process is being started, which gets the descriptor."""
         return _received, (DupFd(self._fd), self._sensors)
 
-    def publish(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64], rpm: float) -> None:
+    def publish(self, degc: Floats, time_ns: Ints, rpm: float) -> None:
         """Write one reading.
 
         Args:
@@ -129,7 +129,7 @@ class Published:
         self.barrier()
         self.version = version + 1
 
-    def copy(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64], rpm: NDArray[np.float64]) -> bool:
+    def copy(self, degc: Floats, time_ns: Ints, rpm: Floats) -> bool:
         """Copy the readings; False where they were being written: the copy is then invalid."""
         version = self.version
         if version % 2:

@@ -13,15 +13,13 @@ depends on what it was. A ledger beyond the stop limit waits for the order in an
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Ints
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.loop.output import in_words, lost
 from rtec.loop.ports import HOLDS
 from rtec.loop.state import Saved, structure_of, units_of
 from rtec.loop.step import Step
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,8 @@ class AtStart:
     saved: Saved | None
     new_boot: bool
     slack_s: float
-    output: IntArray | None
-    counts: IntArray | None
+    output: Ints | None
+    counts: Ints | None
     start_mode: int
     damaged: str = ""
     one_way: bool = False
@@ -65,12 +63,12 @@ class Start:
         sequence: the kept state's, from which numbering goes on.
     """
 
-    output: IntArray
+    output: Ints
     mode: int
     waits: str = ""
     notes: list[str] = field(default_factory=list)
     sequence: int = 0
-    expected: IntArray | None = None
+    expected: Ints | None = None
     or_zero: bool = False
 
 
@@ -128,7 +126,7 @@ def _without_run_before(step: Step, at_start: AtStart) -> Start:
     return Start(output, at_start.start_mode, waits, notes, 0 if saved is None else saved.sequence)
 
 
-def _moved(step: Step, saved: Saved, counts: IntArray | None) -> NDArray[np.bool_]:
+def _moved(step: Step, saved: Saved, counts: Ints | None) -> Bools:
     """Axes that have moved since; their direction is unknown."""
     if counts is None:
         return np.ones(len(step.layout.axes), np.bool_)
@@ -136,19 +134,19 @@ def _moved(step: Step, saved: Saved, counts: IntArray | None) -> NDArray[np.bool
     return np.asarray(mm > step.constants("dead_band"), np.bool_)
 
 
-def _why_wait(step: Step, at_start: AtStart, saved: Saved, output: IntArray, or_zero: bool) -> str:
+def _why_wait(step: Step, at_start: AtStart, saved: Saved, output: Ints, or_zero: bool) -> str:
     """Why an order is needed; "" where it is not."""
     if saved.waits and not or_zero:
         return f"the run before was stopped while it waited for an order to resume; {HOLDS}"
     return lost(step, saved.output, output, allowed(step, at_start.slack_s), or_zero=or_zero)
 
 
-def allowed(step: Step, slack_s: float) -> IntArray:
+def allowed(step: Step, slack_s: float) -> Ints:
     """Largest difference, by axis, between two ledgers that are `slack_s` apart in time."""
     return np.asarray(step.units_in(slack_s) + step.constants("quantum"), np.int64)
 
 
-def _note(step: Step, saved: Saved, output: IntArray, mode: int) -> str:
+def _note(step: Step, saved: Saved, output: Ints, mode: int) -> str:
     how = "waited for an order to resume" if saved.waits else "did not end in order"
     return (
         f"the run before {how}: its ledger ({in_words(step, output)}) and mode {NAMES[mode]!r} were taken over (its "

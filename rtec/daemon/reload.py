@@ -18,8 +18,8 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.correction.flags import MODE_ON
 from rtec.daemon.disk import DiskThread
 from rtec.daemon.ring import Ring
@@ -46,8 +46,6 @@ POSES: Final = 32
 """Number of climates (temperatures and spindle speed), and of positions in each, at which two models are compared."""
 USUAL_K: Final = 10.0
 """K on either side of the model's reference temperature, where it has no fitted range."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

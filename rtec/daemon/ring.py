@@ -38,6 +38,7 @@ from typing import Any, Final, Self, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Ints
 from rtec.errors import RtecError
 from rtec.loop.orders import OrderWords
 from rtec.loop.records import Commands, Field, Layout, Samples
@@ -56,7 +57,7 @@ class Note:
         barrier: a memory barrier.
     """
 
-    def __init__(self, version: NDArray[np.int64], text: NDArray[np.uint8], barrier: Callable[[], None]) -> None:
+    def __init__(self, version: Ints, text: NDArray[np.uint8], barrier: Callable[[], None]) -> None:
         self._version, self._text, self._barrier = version, text, barrier
         self._written: Mapping[str, list[str]] = {}
         self._read_version, self._read = 0, dict[str, list[str]]()

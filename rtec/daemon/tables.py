@@ -11,6 +11,7 @@ from typing import Final, Self
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.correction.tables import table_format
 from rtec.correction.tables.predict import (
     History,
@@ -22,7 +23,7 @@ from rtec.correction.tables.predict import (
     table_axes,
     table_of,
 )
-from rtec.correction.tables.table import CompensationTable, Floats, TableAxes, table_text
+from rtec.correction.tables.table import CompensationTable, TableAxes, table_text
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonPart, KeptThread
 from rtec.errors import ConfigError, RtecError

@@ -20,13 +20,14 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.daemon.process import SIGNALS, child_context, signals_wait, starter
 from rtec.daemon.published import FAILED, NEVER, OPEN, STARTING, Published, PublishedReader
 from rtec.daemon.supervision import DaemonPart, DaemonParts, fault
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import driver_class, make_device
-from rtec.loop.ports import FloatArray, IntArray, Resumable
+from rtec.loop.ports import Resumable
 from rtec.machine import Machine
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ class WorkerPort:
         """Pass the order on to the worker."""
         self._memory.resumes += 1
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in the worker's newest readings, °C and instants, ns; then raise its fault.
 
         Raises:

@@ -13,10 +13,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from rtec.arrays import Bools, Floats, Ints
 
 NS = 1_000_000_000
 FACE_Z_MM, SHOULDER_Z_MM = 330.0, 130.0
@@ -129,7 +127,7 @@ class Track:
     degc: Floats
     body_degc: Floats
 
-    def rows(self, index: NDArray[np.bool_] | Ints) -> "Track":
+    def rows(self, index: Bools | Ints) -> "Track":
         """The track with some instants only."""
         return Track(**{k: v[index] for k, v in vars(self).items()})
 

@@ -11,16 +11,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.sim.geometry import Geometry
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import Truth
 from rtec.tomlfile import nearest
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

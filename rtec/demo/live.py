@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.correction.flags import HOLD_REASONS, MODE_ON, GuardSettings, Limits
-from rtec.demo.day import EVERY_NS, NS, OTHER, WAIT_S, Cut, Floats, Ints, Plan, Track, Work, surface_of
+from rtec.demo.day import EVERY_NS, NS, OTHER, WAIT_S, Cut, Plan, Track, Work, surface_of
 from rtec.demo.hidden import Fault, with_fault
 from rtec.loop.devices import Ports, driver_class
 from rtec.loop.loop import Loop, Row, bind_rows

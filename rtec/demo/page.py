@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.demo import figures
-from rtec.demo.day import CYLINDER, FACE, OTHER, Floats, line
+from rtec.demo.day import CYLINDER, FACE, OTHER, line
 from rtec.demo.live import RATE_HZ
 from rtec.demo.residual_sources import WHY
 from rtec.demo.second_story import later_sections

@@ -22,7 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtec.demo.day import CYLINDER, FACE, NS, SHOULDER, SMOOTH_MM, Floats, Ints, Track
+from rtec.arrays import Floats, Ints
+from rtec.demo.day import CYLINDER, FACE, NS, SHOULDER, SMOOTH_MM, Track
 from rtec.demo.live import LoopSide, step_settings
 from rtec.effects.reversal import Backlash
 from rtec.loop.records import Samples

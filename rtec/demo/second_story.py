@@ -14,8 +14,9 @@ from typing import Any, Literal
 import numpy as np
 import tomli_w
 
+from rtec.arrays import Floats, Ints
 from rtec.demo import training
-from rtec.demo.day import CYLINDER, FACE, SHOULDER, Floats, Ints, Plan, Track
+from rtec.demo.day import CYLINDER, FACE, SHOULDER, Plan, Track
 from rtec.demo.figures import tip_by_part
 from rtec.demo.hidden import Fault, draw, with_play
 from rtec.demo.live import corrected

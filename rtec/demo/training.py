@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.characterise.run import characterise, fitted_model
 from rtec.demo.hidden import Fault, with_fault
 from rtec.effects import Effect, State, effect_class
@@ -23,7 +23,6 @@ from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import Truth
 from rtec.tomlfile import digest, validated
 
-Floats = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 PROBE_NOISE_UM = 0.3
@@ -125,7 +124,7 @@ class MeasuringDay:
     state: State
     tip_um: Floats
     noise_free_um: Floats
-    session: NDArray[np.int64]
+    session: Ints
 
     @property
     def readings(self) -> int:

@@ -5,8 +5,8 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.doubts.doubt import ALONE, Doubt
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
@@ -21,8 +21,6 @@ from rtec.estimation.warmth import SENSOR_S, expands_much
 from rtec.metrology.instruments.laser import LaserLinear
 from rtec.model import FittedEffect
 from rtec.wording import ERROR_UNITS, duration, listed, number, significant
-
-Floats = NDArray[np.float64]
 
 INSTRUMENT = 5.0
 """Largest drift of an instrument that warms up, µm or µrad, as in the catalogue of effects."""

@@ -5,17 +5,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats, Ints
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.effects import Effect
 from rtec.estimation.joint import ChangedNumber
 from rtec.estimation.judge import Judgement
 from rtec.model import FittedEffect
 from rtec.result import Result
-
-Floats = NDArray[np.float64]
 
 AT_FLOOR = 1.05
 """Error over the noise floor up to which a model is at the floor."""
@@ -252,7 +248,7 @@ class Picture:
     drivers: tuple[tuple[str, str, Floats], ...]
     direction: Floats | None
     time_s: Floats
-    run: NDArray[np.int64]
+    run: Ints
     title: str = ""
     place: str = ""
     others: "tuple[Picture, ...]" = ()

@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.readings import Readings
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect
 from rtec.wording import with_error
-
-Floats = NDArray[np.float64]
 
 FEWEST = 10
 """Readings below which a refit would follow the noise."""

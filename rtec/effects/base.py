@@ -8,16 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import field_validator
 
+from rtec.arrays import Floats
 from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
 from rtec.machine import Axis, Machine
 from rtec.machine.chain import component_unit
 from rtec.tomlfile import Strict, nearest
-
-Floats = NDArray[np.float64]
 
 SIDES = frozenset(
     ["front", "back", "rear", "left", "right", "top", "bottom", "upper", "lower", "inner", "outer", "inside", "outside"]

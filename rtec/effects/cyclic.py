@@ -5,9 +5,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
+from rtec.arrays import Floats
 from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings, check_sensor
 from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
@@ -24,7 +24,7 @@ the axis explains fewer turns as well."""
 ROUNDING = 1e-6
 
 
-def widest_phase_gap(places_mm: NDArray[np.float64], pitch_mm: float | None) -> float:
+def widest_phase_gap(places_mm: Floats, pitch_mm: float | None) -> float:
     """Widest part of a screw's turn without a reading, 0 … 1; 1 where all readings have one phase or no pitch is known.
 
     Readings that are more than a turn apart still cover the turn if their phases differ.

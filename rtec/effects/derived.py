@@ -7,8 +7,8 @@ the same numbers.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.jit import njit
 
 FAR_MM = 1e9
@@ -129,7 +129,7 @@ def motion_update(velocity: float, acceleration: float, moved: float, dt_s: floa
 
 
 @njit
-def lag_track(value: NDArray[np.float64], time_s: NDArray[np.float64], tau_s: float) -> NDArray[np.float64]:
+def lag_track(value: Floats, time_s: Floats, tau_s: float) -> Floats:
     """First-order lag of n values at n instants, (n,); settled at the first instant."""
     out = np.empty(len(value))
     for i in range(len(value)):
@@ -141,7 +141,7 @@ def lag_track(value: NDArray[np.float64], time_s: NDArray[np.float64], tau_s: fl
 
 
 @njit
-def direction_track(position: NDArray[np.float64], dead_band: float) -> NDArray[np.float64]:
+def direction_track(position: Floats, dead_band: float) -> Floats:
     """Last non-zero direction at each of n positions in order, (n,): -1, +1, or 0 before the first motion."""
     out = np.empty(len(position))
     direction, extreme = 0.0, 0.0
@@ -154,7 +154,7 @@ def direction_track(position: NDArray[np.float64], dead_band: float) -> NDArray[
 
 
 @njit
-def since_reversal_track(position: NDArray[np.float64], dead_band: float) -> NDArray[np.float64]:
+def since_reversal_track(position: Floats, dead_band: float) -> Floats:
     """Distance travelled since the last reversal at each of n positions in order, mm, (n,)."""
     out = np.empty(len(position))
     direction, extreme, turn = 0.0, 0.0, math.inf
@@ -167,7 +167,7 @@ def since_reversal_track(position: NDArray[np.float64], dead_band: float) -> NDA
 
 
 @njit
-def since_turn_track(position: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
+def since_turn_track(position: Floats, direction: Floats) -> Floats:
     """Distance since the last reversal at each of n positions with their recorded directions, mm, (n,).
 
     The axis reversed between two readings; the further of the two is taken as the turning point, so that the distance

@@ -5,14 +5,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects.derived import direction_track, lag_track, since_reversal_track, since_turn_track
 from rtec.errors import ModelError
 from rtec.machine import Axis, Machine
 from rtec.tomlfile import nearest
 
-Floats = NDArray[np.float64]
 # A value is an array of n numbers, one number, or (while the kernel is being written) a symbol for either.
 Value = Any
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import GROWTHS, PITCH_MM, Cyclic, CyclicPole
@@ -25,8 +25,6 @@ from rtec.estimation.visible import (
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 from rtec.model import FittedEffect
-
-Floats = NDArray[np.float64]
 
 GRID = 6
 """Grid of a non-linear parameter where the effect gives none."""

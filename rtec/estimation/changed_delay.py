@@ -10,8 +10,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects import Parameter
 from rtec.estimation import floor
 from rtec.estimation.candidates import simple_effects
@@ -22,7 +22,6 @@ from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
 from rtec.model import FittedEffect, Model
 
-Floats = NDArray[np.float64]
 Delays = Mapping[int, float]
 
 MOVES, FAR = 0.1, 3.5

@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect, Model
 
-Floats = NDArray[np.float64]
 FARTHEST, SURELY = 2.0, 10.0
 """A non-linear parameter, such as a delay, is kept where a refit would change it by over this many times itself, and by
 over this many standard errors of the fit that determined it: the readings then show something else."""

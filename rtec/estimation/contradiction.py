@@ -13,16 +13,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.estimation import floor
 from rtec.estimation.candidates import real
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, row_codes
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 COMMON, OPPOSITE = 5, -0.8
 """Fewest places that two files share, and the correlation of their means from which on they contradict."""
@@ -128,7 +125,7 @@ class _Means:
 
     place: Ints
     value: Floats
-    known: NDArray[np.bool_]
+    known: Bools
     bent: float
 
     @classmethod
@@ -145,7 +142,7 @@ class _Means:
             bent = float(np.sqrt(np.mean((straight - value[inside]) ** 2, axis=0)).max())
         return cls(there, value, known, bent)
 
-    def at(self, place: Ints) -> tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
+    def at(self, place: Ints) -> tuple[Bools, Floats, Bools]:
         """Which places, (k,), are known or interpolated; their values, (c, 2); which of them are interpolated, (c,)."""
         after = np.minimum(np.searchsorted(self.place, place), len(self.place) - 1)
         same = self.place[after] == place

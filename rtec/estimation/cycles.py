@@ -7,12 +7,10 @@ channel follows it. A period shows in what comes again after one, and is opposit
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.readings import Readings
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
 
 FEWEST, MOST = 60, 4000
 """Fewest readings of a series, and most that are looked at."""

@@ -11,13 +11,10 @@ all of them, and anything between them.
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import Effect
 from rtec.effects.cyclic import Cyclic
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SURE = 3.0
 """A contribution must be this many standard errors from zero, where it or its error exceeds the readings."""

@@ -9,13 +9,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.floor import cleaned, rms_by_series
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings
-
-Floats = NDArray[np.float64]
 
 WHOLE = 0.02
 """A reading is a multiple of the step up to this share of it: files round to a few decimals."""

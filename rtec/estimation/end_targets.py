@@ -11,16 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_sigma
+from rtec.arrays import Bools, Floats, Ints, robust_sigma
 from rtec.estimation.readings import Readings, Series
 from rtec.machine import Axis
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 ENDS = 2
 """Most targets of an end that can stand out."""

@@ -1,14 +1,12 @@
 """Columns that follow any smooth function of the recorded channels: what they can explain does not count as noise."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.gls import solve, without_runs
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.visible import moves
 from rtec.jit import njit
-
-Floats = NDArray[np.float64]
 
 NEAR_DEGC = 0.3
 """Temperatures that differ by less than this from those of the first of a group count as equal."""

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.estimation.flexible import NEAR_DEGC, flexible_columns
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.noise import Noise, Whitener, noise_on_stretches
@@ -26,9 +26,6 @@ from rtec.estimation.readings import Readings, Series, row_codes
 from rtec.estimation.visible import same_place_mm
 from rtec.estimation.whitening import drift_draws
 from rtec.jit import njit
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SAME_RPM = 1.0
 FEWEST = 20

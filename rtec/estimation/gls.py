@@ -7,14 +7,12 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.held_out import STILL_MM
 from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import Whitener, log_likelihood, refine
 from rtec.estimation.readings import Readings, Series
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 3
 NOTHING = 1e-100

@@ -9,11 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.metrology.measurement import Measurement
-
-Ints = NDArray[np.int64]
 
 ENOUGH_RUNS = 6
 """From this many runs on, whole runs are held out; below, stretches of time."""
@@ -127,7 +125,7 @@ def cycles(measurement: Measurement) -> Ints:
     return min(found, key=len) if found else np.array([0, n])
 
 
-def _returns(place: NDArray[np.float64]) -> Ints:
+def _returns(place: Floats) -> Ints:
     """Rows at which all ways but the first begin: the last at the lowest place between visits to the upper quarter."""
     low, high = float(place.min()), float(place.max())
     side = np.where(place > high - QUARTER * (high - low), 1, np.where(place < low + QUARTER * (high - low), -1, 0))

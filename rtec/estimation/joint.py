@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects import Effect, Parameter
 from rtec.effects.geometry import Scale
 from rtec.effects.reversal import Backlash, BacklashTemperature
@@ -32,10 +32,6 @@ from rtec.model import FittedEffect, Model
 from rtec.model.fit import SearchScale
 from rtec.model.model import ErrorCorrelation, names_of, number_name
 from rtec.wording import significant
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 LOOSE = 30.0
 """Standard errors that a number may move freely where the same readings are fitted again."""

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects import Effect
 from rtec.estimation import floor
 from rtec.estimation.columns import Base, base_of
@@ -20,8 +20,6 @@ from rtec.estimation.outliers import Clean
 from rtec.estimation.plain import Plain, as_good, plain_fit
 from rtec.estimation.readings import Readings
 from rtec.model import Model
-
-Floats = NDArray[np.float64]
 
 CANCELS = 2.0
 """A change of one number that is this many times the residual is taken back by another number."""

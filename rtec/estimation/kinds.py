@@ -7,12 +7,9 @@ noise but what the model misses, and no reading deserves more weight than the mo
 from collections.abc import Hashable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_sigma
+from rtec.arrays import Floats, Ints, robust_sigma
 from rtec.estimation.readings import Readings
-
-Floats = NDArray[np.float64]
 
 QUANTISED = 0.005
 """The noise between neighbours is at least this share of the residual: quantised readings are mostly equal."""
@@ -31,7 +28,7 @@ def spreads(readings: Readings, values: Floats) -> Floats:
     return alike(kinds_of(readings), rms, np.zeros(len(rms)), count)
 
 
-def neighbour_noise(left: Floats, run: NDArray[np.int64]) -> float:
+def neighbour_noise(left: Floats, run: Ints) -> float:
     """Robust noise of residuals, (n,), from how each differs from the middle of its neighbours in its run."""
     size = float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
     bend = (left[1:-1] - 0.5 * (left[:-2] + left[2:]))[run[2:] == run[:-2]]
@@ -40,7 +37,7 @@ def neighbour_noise(left: Floats, run: NDArray[np.int64]) -> float:
     return float(max(quick, 1e-12))
 
 
-def alike(kinds: Sequence[Hashable], sigma: Floats, quick: Floats, count: NDArray[np.int64]) -> Floats:
+def alike(kinds: Sequence[Hashable], sigma: Floats, quick: Floats, count: Ints) -> Floats:
     """Residual size of each series, (series,): its noise between neighbours, and the rest common to its kind.
 
     Args:

@@ -8,17 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_sigma
+from rtec.arrays import Bools, Floats, Ints, robust_sigma
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
 from rtec.metrology.instruments.base import laid
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FEW_RUNS, FEW_PLACES = 3, 5
 """Fewest runs, and fewest places that a run shares with the run before it and after it."""
@@ -68,7 +64,7 @@ class MovedZero:
     run: int
     last: int
     by: float
-    readings: NDArray[np.bool_]
+    readings: Bools
     message: str
 
 
@@ -114,7 +110,7 @@ class _Jump:
     last: int
     by: float
 
-    def holds(self, run: Ints) -> NDArray[np.bool_]:
+    def holds(self, run: Ints) -> Bools:
         """Which runs are among them."""
         return np.asarray((run >= self.first) & (run <= self.last))
 

@@ -12,14 +12,12 @@ from functools import cached_property, wraps
 from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_scatter
+from rtec.arrays import Bools, Floats, Ints, robust_scatter
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_sums, gains, innovations
 from rtec.wording import ERROR_UNITS, duration, significant
 
-Floats = NDArray[np.float64]
 P = ParamSpec("P")
 
 WIDE = 1e5
@@ -317,7 +315,7 @@ def noise_bounds(series: Series) -> Floats:
     )
 
 
-def noise_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[np.bool_]], Floats]) -> Whitener:
+def noise_on_stretches(readings: Readings, columns: Callable[[Readings, Bools], Floats]) -> Whitener:
     """Noise of readings, where long series are searched on stretches.
 
     Args:
@@ -335,7 +333,7 @@ def noise_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[
     return Whitener(readings, noises, run_variances)
 
 
-def _stretches(n: int) -> NDArray[np.int64]:
+def _stretches(n: int) -> Ints:
     """Stretches of neighbouring readings, evenly over a long series, so that short and long memory show; else all."""
     if n <= MANY:
         return np.arange(n)

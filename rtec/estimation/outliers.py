@@ -18,9 +18,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import SIGMA_PER_MAD, robust_scatter, robust_sigma
+from rtec.arrays import SIGMA_PER_MAD, Bools, Floats, Ints, robust_scatter, robust_sigma
 from rtec.estimation.end_targets import EndTargets, end_targets
 from rtec.estimation.flexible import smooth_columns
 from rtec.estimation.gls import solve, without_runs
@@ -31,10 +30,6 @@ from rtec.jit import njit
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import MANY
 from rtec.wording import ERROR_UNITS, counted, significant
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 FAR, NEAR, COMPANY = 7.0, 3.0, 0.3
 """Robust standard deviations; and the deviation of neighbours, as a share of a wrong reading's, at most."""

@@ -9,15 +9,13 @@ cannot: it minimises the residual itself. Its standard errors still account for 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.gls import HeldOut, inverse, solve, without_nuisance
 from rtec.estimation.kinds import kinds_of
 from rtec.estimation.noise import Whitener, refine
 from rtec.estimation.readings import Readings
 from rtec.estimation.robust import huber, sigmas
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 4
 STEPS = 30

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects import Effect, State
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.held_out import Blocks, cuts
@@ -24,8 +24,6 @@ from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import each
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 FADED = 0.25
 """An unknown whose mean square elsewhere is below this share of that in one fold is determined there alone."""
 
@@ -109,7 +107,7 @@ class Readings:
         return np.concatenate([s.fold for s in self.series])
 
     @cached_property
-    def alone(self) -> NDArray[np.bool_]:
+    def alone(self) -> Bools:
         """Which unknowns of the set-up one of several folds determines and the others hardly do, (folds, s).
 
         Only that fold has them; or they fade, as what a body remembers from before the record.
@@ -187,7 +185,7 @@ class Readings:
                 whole.append(np.full(len(state), np.nan))
         return np.concatenate([whole[s.source][s.row] for s in self.series])
 
-    def without(self, spike: NDArray[np.bool_]) -> "Readings":
+    def without(self, spike: Bools) -> "Readings":
         """The same without the readings marked in `spike`, (m,)."""
         series, kept, start = [], ~spike, 0
         for s in self.series:
@@ -380,7 +378,7 @@ RUNS = 40
 """Whole runs are taken where there are at least this many; else single readings, evenly."""
 
 
-def looked_at(readings: Readings) -> NDArray[np.bool_]:
+def looked_at(readings: Readings) -> Bools:
     """Which readings a screen uses, (m,): all, unless they are many."""
     keep = np.ones(len(readings), dtype=bool)
     if len(readings) <= LOOK:

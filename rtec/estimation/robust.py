@@ -9,13 +9,9 @@ deviation (`kinds`).
 from collections.abc import Hashable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_sigma
+from rtec.arrays import Floats, Ints, robust_sigma
 from rtec.estimation.kinds import alike, neighbour_noise
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 HUBER = 6.0
 """Residuals beyond this many robust standard deviations of their series count less."""

@@ -11,16 +11,13 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.estimation import floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Series
 from rtec.metrology.unread import is_rotary, joined, radians, ranged
 from rtec.wording import ERROR_UNITS, listed, sizes
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOSTLY = 0.5
 """Share of the mean square that the angles must leave at most, and share of a position's variance below which it

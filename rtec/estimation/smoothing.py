@@ -10,12 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_sigma
+from rtec.arrays import Bools, Floats, robust_sigma
 from rtec.jit import njit
-
-Floats = NDArray[np.float64]
 
 ABOUT = 5
 """Fewer readings give no curve."""
@@ -71,7 +68,7 @@ def smoothed(windows: Windows, value: Floats) -> Floats:
     return out
 
 
-def _near(time_s: Floats, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _near(time_s: Floats, good: Bools) -> Bools:
     """Which instants have a reading nearby on either side, (n,); the first and last count as such."""
     seen = time_s[good]
     at = np.clip(np.searchsorted(seen, time_s), 1, len(seen) - 1)

@@ -8,8 +8,8 @@ and the period is searched without them: a wave predicts them, a pattern does no
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import Effect
 from rtec.effects.cyclic import CouplingMisalignment, CyclicPole, CyclicScrew, InterpolationError
 from rtec.estimation.display import display_errors
@@ -17,9 +17,6 @@ from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import same_place_mm
 from rtec.machine import Axis
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 WAVES = (CyclicScrew, CouplingMisalignment, InterpolationError, CyclicPole)
 FEW, MOST = 60, 400

@@ -10,16 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_sigma
+from rtec.arrays import Bools, Floats, Ints, robust_sigma
 from rtec.estimation.candidates import real
 from rtec.estimation.contradiction import PER_MM
 from rtec.estimation.readings import Readings, Series, row_codes
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FEW_RUNS, MANY_RUNS, EACH = 5, 60, 2
 """Fewest and most runs that are looked at, and fewest runs of each level."""
@@ -55,7 +51,7 @@ class TwoLevels:
     """
 
     series: int
-    high: NDArray[np.bool_]
+    high: Bools
     readings: Floats
     message: str
 
@@ -122,7 +118,7 @@ def _apart_from_others(readings: Readings, s: Series, left: Floats) -> Floats:
     return np.where(visits[place] >= 0.5 * (int(s.run[-1]) + 1), left - mean[place], np.nan)
 
 
-def _split(heights: Floats) -> tuple[NDArray[np.bool_], float]:
+def _split(heights: Floats) -> tuple[Bools, float]:
     """Which runs are higher, for the division by height that has the largest variance ratio; and that ratio."""
     order, runs = np.argsort(heights), len(heights)
     high, most = np.zeros(runs, dtype=np.bool_), 0.0
@@ -136,7 +132,7 @@ def _split(heights: Floats) -> tuple[NDArray[np.bool_], float]:
     return high, most
 
 
-def _has_reason(readings: Readings, s: Series, heights: Floats, high: NDArray[np.bool_], within: float) -> bool:
+def _has_reason(readings: Readings, s: Series, heights: Floats, high: Bools, within: float) -> bool:
     """Whether the levels follow a recorded channel: by a straight line, or each level has values of its own."""
     state, machine = readings.states[s.source], readings.machine
     ways = [a.direction_channel for a in machine.axes]
@@ -158,7 +154,7 @@ def _has_reason(readings: Readings, s: Series, heights: Floats, high: NDArray[np
     return False
 
 
-def _separates(values: Floats, high: NDArray[np.bool_]) -> bool:
+def _separates(values: Floats, high: Bools) -> bool:
     """Whether the nearest value to that of each run is one of its own level, or one level is above a limit.
 
     Of few runs a limit divides any two levels by chance.

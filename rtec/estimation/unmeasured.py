@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect
 from rtec.wording import significant
@@ -81,7 +81,7 @@ def _of(fitted: FittedEffect, readings: Readings) -> list[UnmeasuredMotion]:
     ]
 
 
-def _motion(fitted: FittedEffect, readings: Readings, source: int) -> NDArray[np.float64]:
+def _motion(fitted: FittedEffect, readings: Readings, source: int) -> Floats:
     """Tool-tip error of an effect at every instant of a measurement, µm, (n, 3); zero where a channel is missing."""
     machine, state = readings.machine, readings.states[source]
     if not all(map(state.has, fitted.effect.channels(machine))):

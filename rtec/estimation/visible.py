@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects import Effect, Parameter
 from rtec.effects.base import component_kind
 from rtec.effects.geometry import Squareness
@@ -13,8 +14,6 @@ from rtec.effects.thermal import PART_OF_RANGE, SLACK
 from rtec.machine import Axis, Machine
 from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
-
-Floats = NDArray[np.float64]
 
 MOVES, FINELY_MM = 0.01, 0.02
 """An axis moves if it covers more than this share of its travel. The axis that an instrument follows also moves if it

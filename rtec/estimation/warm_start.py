@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.effects import State
 from rtec.estimation import floor
 from rtec.estimation.candidates import simple_effects
@@ -20,8 +20,6 @@ from rtec.estimation.outliers import Clean
 from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect, Model
 from rtec.wording import duration, listed
-
-Floats = NDArray[np.float64]
 
 TAKES = 0.5
 """Least share of a record's squared residual that the unknown starts take away."""
@@ -134,9 +132,7 @@ def _start(judged: Judgement, fitted: FittedEffect) -> Floats:
 _FIELDS = ("machine", "time_s", "channels", "reference_degc", "dead_band_mm", "at_rest")
 
 
-def _found(
-    judged: Judgement, number: int, late: Sequence[FittedEffect], mine: Floats, rows: NDArray[np.bool_]
-) -> WarmStart | None:
+def _found(judged: Judgement, number: int, late: Sequence[FittedEffect], mine: Floats, rows: Bools) -> WarmStart | None:
     """The start of one record, if it explains most of the residual there and no simple cause does as well."""
     readings, left = judged.readings, np.where(rows, judged.left, 0.0)
     columns = floor.cleaned(readings, mine)

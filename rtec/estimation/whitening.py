@@ -17,12 +17,9 @@ search over three logarithms, and runs here entirely without Python.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.jit import njit
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @njit

@@ -7,15 +7,11 @@ and the loop would then double the error instead of removing it.
 import math
 from collections.abc import Mapping
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
 from rtec.estimation import floor
 from rtec.estimation.floor import Unit
 from rtec.estimation.readings import Readings
-
-Floats = NDArray[np.float64]
 
 ALIKE = 0.8
 """Squared correlation of readings and prediction from which on one follows the other."""

@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from rtec.arrays import Bools
 from rtec.errors import LogError, first_line
 from rtec.log.format import (
     CHUNK_ROWS,
@@ -136,7 +137,7 @@ def _table(blocks: list[Block], schema: pa.Schema, layout: Layout) -> pa.Table:
     return pa.Table.from_batches(batches, schema=schema)
 
 
-def _equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
+def _equal(a: NDArray[Any], b: NDArray[Any]) -> Bools:
     """Bitwise equality: a NaN equals itself, and -0 does not equal 0."""
     return np.asarray(np.ascontiguousarray(a).view(np.int64) == np.ascontiguousarray(b).view(np.int64))
 

@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import DriverError, DriverFault
-from rtec.loop.ports import FloatArray, IntArray, TemperatureSource
+from rtec.loop.ports import TemperatureSource
 from rtec.machine import Machine
 from rtec.wording import TO_RESUME
 
@@ -49,7 +50,7 @@ class BelievedTemperatures:
         self._judged = self._time_ns.tobytes()
         self._jumped: dict[str, str] = {}
 
-    def read(self, degc: FloatArray, time_ns: IntArray, used: Collection[str], now_ns: int) -> None:
+    def read(self, degc: Floats, time_ns: Ints, used: Collection[str], now_ns: int) -> None:
         """Fill in what is new and believed, °C and instants, ns; `used` are the sensors that the model reads.
 
         Raises:

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.correction.flags import MODE_HOLD, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import DriverError
 from rtec.loop.believed import AHEAD_NS, BelievedTemperatures, ahead_in_words
 from rtec.loop.clock import Clock
 from rtec.loop.devices import Ports
 from rtec.loop.output import CommandGate
-from rtec.loop.ports import FloatArray, IntArray
 from rtec.loop.records import NEVER_NS, Commands, Samples
 from rtec.loop.state import StateWriter
 from rtec.loop.stats import LoopStats, Trouble
@@ -35,10 +35,10 @@ class Row:
 
     samples: Samples
     commands: Commands
-    counts: IntArray
-    degc: FloatArray
-    degc_time_ns: IntArray
-    output: IntArray
+    counts: Ints
+    degc: Floats
+    degc_time_ns: Ints
+    output: Ints
     step: Callable[[], None]
 
 
@@ -141,7 +141,7 @@ class Loop:
         self.step.forget_directions(home.axes, self._counts)
         return True
 
-    def take_over(self, expected: IntArray | None, allowed: IntArray | None = None, or_zero: bool = False) -> None:
+    def take_over(self, expected: Ints | None, allowed: Ints | None = None, or_zero: bool = False) -> None:
         """Hold and command nothing until the actuator reports its ledger; see `CommandGate.take_over`."""
         self._gate.take_over(expected, allowed, or_zero)
 

@@ -9,9 +9,7 @@ is stopped. An order to home goes to the loop as a reload does.
 from enum import StrEnum
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Ints
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.errors import RtecError
 
@@ -65,7 +63,7 @@ class OrderWords:
         words: three int64: the mode, the number of orders to resume, the number of changes: reloads and new zeros.
     """
 
-    def __init__(self, words: NDArray[np.int64]) -> None:
+    def __init__(self, words: Ints) -> None:
         self._words = words
 
     @property

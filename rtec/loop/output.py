@@ -19,9 +19,10 @@ from typing import Final
 
 import numpy as np
 
+from rtec.arrays import Ints
 from rtec.correction.flags import MODE_OFF, MODE_TAKEN_OVER, OUTPUT_TROUBLE, OUTPUT_UNCONFIRMED
 from rtec.errors import DriverError
-from rtec.loop.ports import HOLDS, Actuator, IntArray, NoActuator, Resumable
+from rtec.loop.ports import HOLDS, Actuator, NoActuator, Resumable
 from rtec.loop.stats import Trouble
 from rtec.loop.step import Step
 
@@ -29,7 +30,7 @@ PATIENCE_NS: Final = 250_000_000
 """A command that the driver accepted may be unconfirmed for this long; after that the output is in trouble."""
 
 
-def in_words(step: Step, output: IntArray) -> str:
+def in_words(step: Step, output: Ints) -> str:
     """An output for people: each axis that is corrected, in µm."""
     per_um = step.constants("per_um")
     axes = zip(step.layout.axes, output.tolist(), per_um.tolist(), strict=True)
@@ -38,9 +39,9 @@ def in_words(step: Step, output: IntArray) -> str:
 
 def lost(
     step: Step,
-    expected: IntArray,
-    has: IntArray,
-    allowed: IntArray,
+    expected: Ints,
+    has: Ints,
+    allowed: Ints,
     source: str = "the run before left",
     or_zero: bool = False,
 ) -> str:
@@ -64,7 +65,7 @@ def beyond_stop(units: float, per_um: float, quantum: float, stop_um: float) -> 
     return per_um != 0.0 and abs(units) - abs(per_um) * stop_um > quantum
 
 
-def beyond(step: Step, output: IntArray) -> str:
+def beyond(step: Step, output: Ints) -> str:
     """Message on an output beyond the stop limit, which is no correction within these limits; else ""."""
     stop_um = step.constants("stop")
     parts = zip(output.tolist(), step.constants("per_um"), step.constants("quantum"), stop_um, strict=True)
@@ -98,14 +99,14 @@ class CommandGate:
     """
 
     def __init__(self, actuator: Actuator, axes: int, trouble: Trouble, waiting: Trouble, period_ns: int) -> None:
-        self.has: IntArray = np.zeros(axes, dtype=np.int64)
+        self.has: Ints = np.zeros(axes, dtype=np.int64)
         self.takes_over = False
         self._actuator, self._trouble, self._waiting = actuator, trouble, waiting
         self._resumable = actuator if isinstance(actuator, Resumable) else None
         self._present = not isinstance(actuator, NoActuator)
         self._period_s = period_ns * 1e-9
-        self._expected: IntArray | None = None
-        self._allowed: IntArray | None = None
+        self._expected: Ints | None = None
+        self._allowed: Ints | None = None
         self._step: Step | None = None
         self._last = self.has
         self._known = self._failed = self._in_trouble = self._far = self._foreign = self._beyond = False
@@ -117,7 +118,7 @@ class CommandGate:
         """Does it wait for its ledger, or for an order to resume?"""
         return self.takes_over or self._waiting.now or bool(self._resumable and self._resumable.must_resume)
 
-    def take_over(self, expected: IntArray | None, allowed: IntArray | None, or_zero: bool = False) -> None:
+    def take_over(self, expected: Ints | None, allowed: Ints | None, or_zero: bool = False) -> None:
         """Hold and command nothing until the actuator reports its ledger; go on from that ledger.
 
         Args:
@@ -179,7 +180,7 @@ class CommandGate:
             return MODE_TAKEN_OVER | OUTPUT_TROUBLE
         return order | OUTPUT_TROUBLE
 
-    def send(self, output: IntArray) -> None:
+    def send(self, output: Ints) -> None:
         """Command the cycle's output, unless it is too far from the actuator's output, or that is nobody's command."""
         if self.takes_over or self._far or self._foreign or not self._known:
             return

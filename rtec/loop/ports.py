@@ -9,14 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Final, Protocol, Self, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats, Ints
 from rtec.correction.sinks import Sink
 from rtec.wording import TO_RESUME
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 HOLDS: Final = f"the correction holds until it is ordered to resume ({TO_RESUME})"
 """What a device adds to the reason why it waits, as `Resumable.must_resume` gives it."""
 
@@ -45,7 +41,7 @@ class AlwaysOpen:
 class CountSource(Protocol):
     """Reads the axes' raw encoder counts (x4, before any insertion), all latched at one instant."""
 
-    def read_counts(self, counts: IntArray) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill `counts` (one element an axis, in the machine's axis order); give the instant of latching, ns.
 
         Raises:
@@ -68,7 +64,7 @@ class Incremental(Protocol):
 class TemperatureSource(Protocol):
     """Reads temperature sensors."""
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill `degc` (°C) and `time_ns` (instant of acquisition), one element a sensor, in the machine's order.
 
         A sensor without a new reading keeps its old value and its old time; the guard judges the age. Good values are
@@ -100,14 +96,14 @@ class Actuator(Protocol):
         """
         ...
 
-    def apply(self, output: IntArray) -> None:
+    def apply(self, output: Ints) -> None:
         """Command the absolute output of every axis in the actuator's own units (for pulses: inserted counts).
 
         Absolute and idempotent: a lost or repeated call loses nothing.
         """
         ...
 
-    def read_output(self, output: IntArray) -> None:
+    def read_output(self, output: Ints) -> None:
         """Fill `output` with the output that the device itself reports (its own ledger), in the same units.
 
         A device that cannot report it fills in the last command, and is a `OneWay` too.
@@ -130,10 +126,10 @@ class NoActuator:
         del sink
         return ""
 
-    def apply(self, output: IntArray) -> None:
+    def apply(self, output: Ints) -> None:
         """Do nothing: the loop's correction is off."""
 
-    def read_output(self, output: IntArray) -> None:
+    def read_output(self, output: Ints) -> None:
         """Leave `output` at zero: nothing is inserted."""
         output[:] = 0
 
@@ -145,7 +141,7 @@ class NoActuator:
 class OneWay(Protocol):
     """An actuator that cannot report its output, and keeps it between runs: an offset register, a D/A converter."""
 
-    def was_told(self, output: IntArray) -> None:
+    def was_told(self, output: Ints) -> None:
         """Take over an earlier run's last command at the start; `read_output` gives it from then on. Sends nothing."""
         ...
 

@@ -11,6 +11,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 
 NEVER_NS: Final = -(2**62)
@@ -81,13 +82,13 @@ class Samples(_Block):
         spindle_rpm: spindle speed, 1/min, signed; NaN where not known.
     """
 
-    time_ns: NDArray[np.int64]
+    time_ns: Ints
     mode: NDArray[np.int8]
-    counts_time_ns: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    degc: NDArray[np.float64]
-    degc_time_ns: NDArray[np.int64]
-    spindle_rpm: NDArray[np.float64]
+    counts_time_ns: Ints
+    counts: Ints
+    degc: Floats
+    degc_time_ns: Ints
+    spindle_rpm: Floats
 
     @staticmethod
     def fields_of(layout: Layout) -> tuple[Field, ...]:
@@ -120,10 +121,10 @@ class Commands(_Block):
         flags: bits of `rtec.correction.flags.Flag`.
     """
 
-    requested_um: NDArray[np.float64]
-    applied_um: NDArray[np.float64]
-    output: NDArray[np.int64]
-    flags: NDArray[np.int64]
+    requested_um: Floats
+    applied_um: Floats
+    output: Ints
+    flags: Ints
 
     @staticmethod
     def fields_of(layout: Layout) -> tuple[Field, ...]:
@@ -146,8 +147,8 @@ class Commands(_Block):
 class StepState:
     """Memory of a step: plain numbers, safe to copy and to keep."""
 
-    floats: NDArray[np.float64]
-    ints: NDArray[np.int64]
+    floats: Floats
+    ints: Ints
 
     def copy(self) -> "StepState":
         """A state with memory of its own."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Ints
 from rtec.errors import ModelError
 from rtec.loop.records import Samples, StepState
 from rtec.loop.zero import UNKNOWN, Zero
@@ -65,9 +66,9 @@ class Saved:
     start_mode: int
     clean: bool
     waits: bool
-    output: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    zero: NDArray[np.int64]
+    output: Ints
+    counts: Ints
+    zero: Ints
     supply: int
     homed: bool
     structure: bytes
@@ -128,21 +129,21 @@ class StateWriter:
         head[_AT_STRUCTURE] = np.frombuffer(structure_of(step), np.int64)
         head[_AT_UNITS] = np.frombuffer(units_of(step), np.int64)
 
-    def keep(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
+    def keep(self, samples: Samples, output: Ints, row: int) -> None:
         """Keep the state after this cycle."""
         self.sequence += 1
         self._write(self._slots[self.sequence & 1], samples, output, row, 0)
 
-    def snapshot(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
+    def snapshot(self, samples: Samples, output: Ints, row: int) -> None:
         """Keep it in the third slot: the state from which a new set-up begins after this row."""
         self._write(self._slots[SNAPSHOT], samples, output, row, 0)
 
-    def finish(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
+    def finish(self, samples: Samples, output: Ints, row: int) -> None:
         """Keep it as the last state: the run ended in order."""
         self.sequence += 1
         self._write(self._slots[self.sequence & 1], samples, output, row, 1)
 
-    def _write(self, slot: "_Slot", samples: Samples, output: NDArray[np.int64], row: int, clean: int) -> None:
+    def _write(self, slot: "_Slot", samples: Samples, output: Ints, row: int, clean: int) -> None:
         head = self._head
         head[_AT_SEQUENCE], head[_AT_ROW] = self.sequence, row
         head[_AT_TIME], head[_AT_MODE] = samples.time_ns[0], self.order

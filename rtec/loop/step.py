@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.correction import guard
 from rtec.correction.flags import GuardSettings, Limits
 from rtec.correction.sinks import DEAD_BAND, PulseSink, SinkScale
@@ -134,11 +135,11 @@ class Step:
         """The step's numbers of that name, one an axis or sensor (`rtec.loop.step_source`)."""
         return self._numbers[self.source.numbers.at[name]].copy()
 
-    def output_of(self, state: StepState) -> NDArray[np.int64]:
+    def output_of(self, state: StepState) -> Ints:
         """The ledger: absolute output of every axis."""
         return state.ints[self.source.ints.at["out"]]
 
-    def units_in(self, span_s: float) -> NDArray[np.int64]:
+    def units_in(self, span_s: float) -> Ints:
         """Largest change of each axis' output in this span, in the sink's units: at the slew limit, in whole quanta.
 
         A span shorter than the sink's period counts as that period.
@@ -149,7 +150,7 @@ class Step:
         steps = np.floor(units / quantum + (0.5 + DEAD_BAND + 1e-9))
         return np.asarray(steps * quantum, np.int64)
 
-    def resume(self, output: NDArray[np.int64]) -> None:
+    def resume(self, output: Ints) -> None:
         """Take over the actuator's ledger and start from rest, so that the correction does not jump."""
         self.state.ints[self.source.ints.at["out"]] = output
         per_um = self._numbers[self.source.numbers.at["per_um"]]
@@ -167,7 +168,7 @@ class Step:
         """Set all speeds to zero: after a pause the correction starts from rest."""
         self.state.floats[self.source.floats.at["speed"]] = 0.0
 
-    def forget_directions(self, axes: NDArray[np.bool_], counts: NDArray[np.int64] | None) -> None:
+    def forget_directions(self, axes: Bools, counts: Ints | None) -> None:
         """Make the direction of these axes unknown, as before their first motion.
 
         Args:
@@ -225,7 +226,7 @@ class Step:
             self.state.ints[ints["ready"]] = 0
 
     @property
-    def _memory(self) -> NDArray[np.float64]:
+    def _memory(self) -> Floats:
         return self.state.floats[self.source.floats.at["m"]]
 
     def warm_up(self) -> None:
@@ -264,7 +265,7 @@ def loop_faults(model: Model) -> list[str]:
     ]
 
 
-def numbers_of(settings: StepSettings, source: StepSource, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def numbers_of(settings: StepSettings, source: StepSource, values: Floats) -> Floats:
     """Parameters, scales, limits and ranges, in the places of `StepSource.numbers`."""
     machine = settings.model.machine
     out = np.zeros(source.numbers.size)
@@ -303,7 +304,7 @@ def numbers_of(settings: StepSettings, source: StepSource, values: NDArray[np.fl
     return out
 
 
-def times_of(settings: StepSettings, source: StepSource) -> NDArray[np.int64]:
+def times_of(settings: StepSettings, source: StepSource) -> Ints:
     """Ages and periods, ns, in the places of `StepSource.times`."""
     guards, machine = settings.guard, settings.model.machine
     sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]

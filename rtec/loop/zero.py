@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Ints
 from rtec.loop.orders import OrderRefused
-from rtec.loop.ports import HOLDS, CountSource, Incremental, IntArray
+from rtec.loop.ports import HOLDS, CountSource, Incremental
 from rtec.machine import Machine
 from rtec.wording import POSITIONS_NOT_KNOWN
 
@@ -31,7 +31,7 @@ BEYOND: Final = 0.05
 """Share of its travel by which an axis may be outside it: the travel is of the controller's software limits."""
 
 
-def beyond_travel(machine: Machine, counts: IntArray) -> list[str]:
+def beyond_travel(machine: Machine, counts: Ints) -> list[str]:
     """A line for each axis whose counts are a position far outside its travel, where no axis can be."""
     out = []
     for axis, n in zip(machine.axes, counts.tolist(), strict=True):
@@ -59,13 +59,13 @@ class Zero:
     """
 
     def __init__(self, source: CountSource, axes: tuple[str, ...], by_order: bool) -> None:
-        self.offset: IntArray = np.zeros(len(axes), np.int64)
+        self.offset: Ints = np.zeros(len(axes), np.int64)
         self.supply, self.by_order, self.known = UNKNOWN, by_order, not by_order
         self.restarted = ""
         self._axes, self._source = axes, source if isinstance(source, Incremental) else None
         self.why = "" if self.known else self._say("nobody has ordered them since this device got its supply")
 
-    def go_on(self, offset: IntArray, supply: int, known: bool) -> None:
+    def go_on(self, offset: Ints, supply: int, known: bool) -> None:
         """Take over the zero of the run before."""
         self.supply = supply
         if self.by_order and known:
@@ -95,7 +95,7 @@ class Zero:
         if not self.by_order:
             self.supply = UNKNOWN
 
-    def home(self, by: IntArray) -> None:
+    def home(self, by: Ints) -> None:
         """Add these counts to the offset, by axis: the positions are known."""
         self.offset += by
         self.known, self.why = True, ""
@@ -118,12 +118,12 @@ class Home:
         supply: number of the device's start that these counts belong to.
     """
 
-    axes: NDArray[np.bool_]
-    by: IntArray
+    axes: Bools
+    by: Ints
     supply: int
 
 
-def home_of(positions_mm: Mapping[str, float], machine: Machine, counts: IntArray, supply: int) -> Home:
+def home_of(positions_mm: Mapping[str, float], machine: Machine, counts: Ints, supply: int) -> Home:
     """The order for the loop, from positions by axis name, and the counts of all axes at that instant, (axes,)."""
     axes = np.array([a.name in positions_mm for a in machine.axes])
     wanted = [round(positions_mm.get(a.name, 0.0) * a.counts_per_mm) for a in machine.axes]

@@ -22,11 +22,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from rtec.arrays import Floats
 
 UNITS = {d: np.eye(3)[i] for i, d in enumerate("XYZ")}
 MM_URAD_TO_UM = 1e-3
-Floats = NDArray[np.float64]
 Direction = Literal["X", "Y", "Z"]
 Vector = tuple[float, float, float]
 

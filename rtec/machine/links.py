@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.machine.chain import MM_URAD_TO_UM, UNITS
 from rtec.machine.machine import Machine
 
-Floats = NDArray[np.float64]
 Side = Literal["tool", "work"]
 
 

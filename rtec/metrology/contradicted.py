@@ -1,9 +1,8 @@
 """A direction column that contradicts the order of the positions: its sign is wrong, or that of the positions."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rtec.arrays import Floats, Ints
 
 AGAINST, FEWEST, FEWEST_EACH_WAY = 0.9, 10, 3
 """Least share of the moves that contradict, least number of them, and of each way: all targets of one pass may be
@@ -11,7 +10,7 @@ approached from beyond."""
 MOVED_MM = 0.1
 
 
-def contradicted(run: Floats | NDArray[np.int64], places_mm: Floats, ways: Floats) -> tuple[int, int] | None:
+def contradicted(run: Floats | Ints, places_mm: Floats, ways: Floats) -> tuple[int, int] | None:
     """How many moves within runs contradict the direction after them, of how many; None where that is no fault.
 
     Args:

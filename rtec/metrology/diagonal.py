@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rtec.arrays import Floats
 
 STRAIGHT, LEAST = 1e-3, 0.05
 """Largest distance of the places from the line, as a share of its length; least share of an axis that takes part."""

@@ -7,15 +7,12 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
 from rtec.result import Kind, Shown, frame
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

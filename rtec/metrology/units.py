@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.tomlfile import nearest
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,9 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.wording import listed, significant
-
-Floats = NDArray[np.float64]
 
 PER_UNIT: Final[Mapping[str, float]] = {
     "mrad": 1e-3, "rad": 1.0, "gon": math.pi / 200.0, "arcmin": math.pi / 10800.0, "arcsec": math.pi / 648000.0,

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rtec.arrays import Floats
 from rtec.effects import State
 from rtec.errors import ModelError
 from rtec.machine import Axis, Machine
 from rtec.result import columns_of, is_frame
 from rtec.tomlfile import nearest
 
-Floats = NDArray[np.float64]
 ABSOLUTE_ZERO_DEGC = -273.15
 
 

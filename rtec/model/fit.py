@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Ints
 from rtec.effects import Effect, Parameter, State
 from rtec.errors import ModelError
 
@@ -57,7 +57,7 @@ class SearchScale:
 
 
 def valid_range(
-    effects: Sequence[Effect], read: Sequence[tuple[State, NDArray[np.int64]]], margin: Margin = MARGIN
+    effects: Sequence[Effect], read: Sequence[tuple[State, Ints]], margin: Margin = MARGIN
 ) -> dict[str, tuple[float, float]]:
     """Valid range of every channel that the effects read: its range in the readings, with the margin.
 

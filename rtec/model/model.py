@@ -7,8 +7,9 @@ from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rtec.arrays import Floats
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.derived import FAR_MM
 from rtec.effects.registry import check_effect
@@ -70,9 +71,6 @@ def _tip(
         low, high = model.valid_range.get(name, (usual, usual))
         channels[name] = np.full(n, (low, usual, high)[level])
     return model.predict(State(machine, np.zeros(n), channels, model.reference_degc))
-
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import ModelError
 from rtec.machine.links import tool_at_work
 from rtec.model.at import state_at
 from rtec.model.model import Model
 
-Floats = NDArray[np.float64]
 RADIUS_MM, LENGTH_MM = 100.0, 200.0
 AROUND, ALONG = 360, 21
 PLACES = 5

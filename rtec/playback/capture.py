@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.correction.flags import Flag
 from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import Edges, counts_at, decode_edges, pack
@@ -23,8 +24,7 @@ from rtec.playback import sigrok
 MOST_CYCLES: Final = 4_000_000
 EXPANSION: Final = 48
 """Largest memory, bytes, for a byte of the capture: with an edge at every sample."""
-Ints = NDArray[np.int64]
-Column = NDArray[np.float64] | Ints
+Column = Floats | Ints
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def _sink(setup: Setup, name: str) -> PulseSink:
     return sink if isinstance(sink, PulseSink) else PulseSink()
 
 
-def _short(output: Ints, inserted: Ints, sink: PulseSink) -> NDArray[np.bool_]:
+def _short(output: Ints, inserted: Ints, sink: PulseSink) -> Bools:
     """Cycles that ended with counts that lacked room; a part of a whole cycle of lines waits for the rest of it."""
     rest = sink.quantum_counts // 2 if sink.quantum_counts > 1 else 0
     return np.asarray(np.abs(output - inserted) > rest)

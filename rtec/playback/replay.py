@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Ints
 from rtec.correction.flags import MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import ConfigError, LogError
 from rtec.files import check_named
@@ -186,7 +187,7 @@ def _begin_as(header: dict[str, str], step: Step, setup: Setup, log: Path) -> No
         step.resume(_initial_output(header, step.layout, log))
 
 
-def _initial_output(header: dict[str, str], layout: Layout, log: Path) -> NDArray[np.int64]:
+def _initial_output(header: dict[str, str], layout: Layout, log: Path) -> Ints:
     """The ledger at the run's beginning; zeros where the log does not have it."""
     try:
         values = json.loads(header.get("initial_output", "[]")) or [0] * len(layout.axes)

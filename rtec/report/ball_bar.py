@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.metrology.ball_bar.causes import CURVE_PER_BEND, UNITS, causes, feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import RESIDUAL, BallBarDiagnosis
@@ -132,7 +132,6 @@ def _feeds(d: BallBarDiagnosis) -> str:
     return ", ".join(f"radius {r:g} mm at {first.feed_mm_min * r / first.radius_mm:.0f} mm/min" for r in radii)
 
 
-Floats = NDArray[np.float64]
 FORMULAS = (
     "ISO 230-4, about the least-squares circle: G largest minus smallest deviation of one path; G(b) of both paths; H "
     "largest difference of the two at one angle; D least-squares radius of both minus nominal; F radial deviation.",

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.report.figures import GREY, LINES, MOST_DOTS, OFF, ON, WIDTH_IN, as_png, canvas, stacked
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
 
-Floats = NDArray[np.float64]
 LOOKS = ((ON, "-"), (OFF, "--"), (LINES[3], "-."), (LINES[4], ":"))
 SCALES_UM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 MIDDLE = 1.0

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.compare.bins import REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.compare.compare import SLOW, SURELY
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
@@ -20,7 +20,6 @@ from rtec.report.page import Figure, Page, Section, Table, name_of_file, shell_c
 from rtec.version import __version__
 from rtec.wording import ERROR_UNITS, decimals, number, percent, significant, sizes
 
-Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
 AT_FLOOR = 1.1
 WORSE = "with the model the error is larger than without one"

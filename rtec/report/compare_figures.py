@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.diagnosis.compare.bins import cut_into
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
 
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 COLOURS, OTHERS = LINES[2:], "#A6A6A6"
 BINS, LEAST = 12, 3
@@ -229,7 +226,7 @@ def preview(below: str, unit: str, place: Floats, readings: Mapping[str, Floats]
     return figure
 
 
-def _ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str, str]]:
+def _ways(direction: Floats) -> list[tuple[str, Bools, str, str, str]]:
     ways = [(", moving +", direction > 0, ON, "^", "-"), (", moving −", direction < 0, OFF, "v", "--")]
     there = [w for w in ways if w[1].any()]
     return there or [("", np.ones(len(direction), dtype=bool), ON, "o", "-")]

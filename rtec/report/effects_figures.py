@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from rtec.arrays import Bools, Floats
 from rtec.diagnosis.words import spoken
 from rtec.effects import Effect, State, all_effects
 from rtec.effects.base import Surroundings
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
 
-
-Floats = NDArray[np.float64]
 
 POINTS = 481
 REFERENCE_DEGC = 20.0
@@ -355,7 +353,7 @@ def _row(value: float, low: float, high: float, rows: int) -> int:
     return round((high - value) / (high - low) * (rows - 1))
 
 
-def _draw(dots: NDArray[np.bool_], curve: EffectCurve, low: float, high: float, on: int, off: int) -> None:
+def _draw(dots: Bools, curve: EffectCurve, low: float, high: float, on: int, off: int) -> None:
     """Set the dots of a curve; vertical lines join steps."""
     rows, columns = dots.shape
     place = np.linspace(0.0, len(curve.error) - 1.0, columns)
@@ -369,7 +367,7 @@ def _draw(dots: NDArray[np.bool_], curve: EffectCurve, low: float, high: float, 
         before = row
 
 
-def _characters(dots: NDArray[np.bool_]) -> list[str]:
+def _characters(dots: Bools) -> list[str]:
     rows, columns = dots.shape[0] // 4, dots.shape[1] // 2
     codes = np.full((rows, columns), BLANK)
     for i, bits in enumerate(DOTS):

@@ -10,14 +10,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.diagnosis.result import Picture
 from rtec.diagnosis.words import titled
 from rtec.wording import ERROR_UNITS
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PLACES, STRETCHES, MOST_TIMES = 120, 40, 300
 """Largest number of different values that are each a place of their own; number of intervals with equally many readings

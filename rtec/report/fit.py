@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
 from rtec.diagnosis.doubts.not_read import unread_beside
@@ -170,9 +170,6 @@ def _correlations(r: Characterisation) -> list[Section]:
     return [
         Section("Correlations with temperatures", words, Table(head, rows, caption, words=(0, 1, 2)) if rows else None)
     ]
-
-
-Floats = NDArray[np.float64]
 
 
 @as_png

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.metrology.grid.compare import GridComparison, GridEvaluation, not_compared
 from rtec.metrology.grid.paths import Edge
 from rtec.metrology.grid.setup import GridSetup, Item, same_feed, slowest
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
 
-Floats = NDArray[np.float64]
 COLOURS = (ON, OFF, LINES[3], LINES[4], LINES[5])
 SMOOTH = 30
 """Half-width of the moving mean that is drawn bold over the readings, as a share of the piece."""

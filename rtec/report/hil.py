@@ -7,9 +7,7 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats
 from rtec.hil import Accuracy, Check, FaultFound, HilResult, SoakResult, tally
 from rtec.report.figures import GREY, KINDS, MOST_DOTS, as_png, room_above, stacked
 from rtec.report.page import Figure, Page, Section, Table
@@ -19,7 +17,6 @@ from rtec.wording import number, significant
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
-Floats = NDArray[np.float64]
 FAULT = "#F0E442"
 
 

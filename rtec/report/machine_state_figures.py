@@ -6,8 +6,8 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.machine import Machine
 from rtec.machine.links import LinkPlaces, Side, room_around, room_mm
 from rtec.model.volume import TipErrors
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
 
-Floats = NDArray[np.float64]
 SCALE = ("#3d7fd6", "#a87aa8", "#d9760b")
 """From the smallest to the largest error."""
 HIGH_IN, HALF_VIEW_RAD = 7.6, np.pi / 8

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.report.figures import LINES, as_png, canvas
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.wording import ERROR_UNITS, counted, number, significant
@@ -50,7 +50,6 @@ def machine_page(machine: "Machine") -> Page:
     return Page(machine.name, f"{machine.name}\nmachine_hash {machine.hash}", (), sections)
 
 
-Floats = NDArray[np.float64]
 WAYS = {1.0: ("moving +", "-", "o"), -1.0: ("moving −", "--", "s"), 0.0: ("no direction", ":", ".")}
 
 

@@ -1,8 +1,8 @@
 """Reports of the procedures: positioning after ISO 230-2, thermal drift, straightness and parallelism."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.metrology.procedures.drift import Approach, Drift, PhaseFit, SpeedPhase, Trace
 from rtec.metrology.procedures.iso230_2 import Positioning, PositioningTests
 from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
@@ -11,7 +11,6 @@ from rtec.report.page import Figure, Page, Section, Table, note_words
 from rtec.version import __version__
 from rtec.wording import number
 
-Floats = NDArray[np.float64]
 ISO230_FORMULAS = (
     "x̄ᵢ mean and sᵢ standard deviation of the deviations at target i; Bᵢ = x̄ᵢ↑ - x̄ᵢ↓; B = max|Bᵢ|.",
     "R↑ = max 4sᵢ↑; Rᵢ = max(2sᵢ↑ + 2sᵢ↓ + |Bᵢ|, 4sᵢ↑, 4sᵢ↓); R = max Rᵢ.",

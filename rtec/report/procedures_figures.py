@@ -5,15 +5,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.report.figures import GREY, LINES, MOST_DOTS, OFF, ON, as_png, room_above, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
-
-Floats = NDArray[np.float64]
 
 LOOKS = ((ON, "-"), (OFF, "--"), (LINES[3], "-."), (LINES[4], ":"))
 

@@ -4,12 +4,9 @@ What is drawn looks the same as all readings. All count in the numbers, and zoom
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.report.figures import WHOLE, Zoom
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOST, EVENLY = 7_000, 3_000
 """Largest number of drawn readings; of these, the number that is drawn at random, to show their density."""

@@ -17,8 +17,9 @@ from the truth.
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rtec.arrays import Floats, Ints
 from rtec.jit import njit
 from rtec.machine import Machine
 from rtec.sim.geometry import Geometry
@@ -42,9 +43,6 @@ from rtec.sim.program import (
     table_of,
 )
 from rtec.sim.truth import Truth
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOTOR, VELOCITY, SLIDE, READING, COMMAND, COMMAND_VELOCITY, TRAVELLED, AXIS_STATES = range(8)
 """Columns of an axis' state: mm and mm/s; TRAVELLED is the length of the motor's path, for its heat."""

@@ -21,12 +21,11 @@ E is [G 2.6]; lengths mm, angles rad; many poses at once along the first axis of
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.machine import Axis, Machine
 from rtec.sim.truth import AxisTruth, Growth, Truth, UnseenDrift
 
-Floats = NDArray[np.float64]
 DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 

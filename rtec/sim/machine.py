@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.machine import Machine
 from rtec.sim import controller as c
 from rtec.sim.controller import (
@@ -25,9 +26,6 @@ from rtec.sim.geometry import Geometry
 from rtec.sim.program import END, POSITIONS, ProgramReader
 from rtec.sim.thermal import ThermalNetwork
 from rtec.sim.truth import Truth, check_truth
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ import re
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import ConfigError
-
-Floats = NDArray[np.float64]
 
 (
     START,

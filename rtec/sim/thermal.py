@@ -11,12 +11,11 @@ minute; its steps depend on the seed and the minute alone, so that a run does no
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.quantities import DAY_S
 from rtec.sim.truth import Truth
 
-Floats = NDArray[np.float64]
 WALK_STEP_S = 60
 
 

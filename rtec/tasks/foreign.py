@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rtec
+from rtec.arrays import Floats
 from rtec.errors import RtecError
 from rtec.tasks.jobs import Reporter
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from rtec.machine import Machine
     from rtec.metrology.importing import ImportProposal
 
-Floats = NDArray[np.float64]
 PREVIEWED = 6000
 """Largest number of drawn readings of a foreign file."""
 

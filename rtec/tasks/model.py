@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rtec
+from rtec.arrays import Floats, Ints
 from rtec.errors import RtecError
 from rtec.tasks.folder import Summary
 from rtec.tasks.jobs import Reporter
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from rtec.report.evidence import Evidence
     from rtec.report.page import Page
     from rtec.result import Result
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

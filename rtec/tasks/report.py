@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rtec
+from rtec.arrays import Ints
 from rtec.tasks.folder import Summary
 from rtec.tasks.foreign import ImportView
 from rtec.tasks.jobs import Reporter
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from rtec.report.history import Present
     from rtec.report.machine_state import MachineState
     from rtec.report.page import Page, Section
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

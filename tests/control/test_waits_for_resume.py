@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtec.arrays import Floats, Ints
 from rtec.control.facts import reasons_not_ordered, waits_for_resume
 from rtec.correction.flags import REASONS, Flag
 from rtec.errors import DriverFault
 from rtec.loop.believed import BelievedTemperatures
-from rtec.loop.ports import HOLDS, FloatArray, IntArray
+from rtec.loop.ports import HOLDS
 from tests.support.diagnosis_examples import small_machine
 
 
@@ -19,7 +20,7 @@ class _Jumping:
     def __init__(self) -> None:
         self._count = 0
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in."""
         self._count += 1
         degc.fill(20.0 if self._count == 1 else 90.0)

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtec.arrays import Floats
 from rtec.cli.main import status
 from rtec.correction.tables import FORMATS, table_format
 from rtec.correction.tables.predict import beyond, checked, conditions, grids_mm, residuals, table_of
-from rtec.correction.tables.table import CompensationTable, Floats, TableAxes
+from rtec.correction.tables.table import CompensationTable, TableAxes
 from rtec.effects.cyclic import InterpolationError
 from rtec.effects.geometry import PolynomialPosition
 from rtec.effects.reversal import Backlash

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from rtec.arrays import Ints
 from rtec.daemon.dry_run import dry_run
 from rtec.loop.clock import RealClock, VirtualClock
-from rtec.loop.ports import IntArray
 from rtec.loop.run_file import load_setup
 from rtec_drivers.sim import SimDriver
 from tests.support.doctor_rig import ALL_SIM, Fake, run_file, seen, sim, texts, with_fake
@@ -56,7 +56,7 @@ def test_an_output_beyond_the_stop_limit_is_said_before_a_run_waits_for_an_order
 ) -> None:
     """By hand: 240 counts are 120 µm of X, stop_um is 100; 200 counts are 100."""
 
-    def has(_: SimDriver, output: IntArray) -> None:
+    def has(_: SimDriver, output: Ints) -> None:
         output[:] = [-240, 200]
 
     monkeypatch.setattr(SimDriver, "read_output", has)

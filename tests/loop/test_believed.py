@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtec.arrays import Floats, Ints
 from rtec.correction.flags import Flag, GuardSettings
 from rtec.errors import DriverError, DriverFault, DriverTimeout
 from rtec.loop.believed import RATE_DEGC_PER_S, STEP_DEGC, BelievedTemperatures
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports
-from rtec.loop.ports import FloatArray, IntArray
 from rtec.loop.run_file import Setup
 from rtec.machine import load_machine
 from tests.loop.test_loop import run
@@ -34,7 +34,7 @@ class Board:
         self.believed = BelievedTemperatures(self, MACHINE)
         self.degc, self.time_ns = np.full(len(MACHINE.sensors), np.nan), np.zeros(len(MACHINE.sensors), np.int64)
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         for i, value in self.values.items():
             degc[i], time_ns[i] = value, self.now_ns
         if self.error:
@@ -137,7 +137,7 @@ def test_the_correction_does_not_follow_a_sensor_that_jumps(made: Setup) -> None
 
     def wrapped(ports: Ports) -> Ports:
         class Loose:
-            def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+            def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
                 read, at_ns = np.full_like(degc, np.nan), np.zeros_like(time_ns)
                 device.read_temperatures(read, at_ns)
                 degc[:], time_ns[:] = read, at_ns

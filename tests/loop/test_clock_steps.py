@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from rtec.arrays import Floats, Ints
 from rtec.correction.flags import Flag, GuardSettings
 from rtec.loop.clock import RealClock, VirtualClock, wall_clock_ns
 from rtec.loop.devices import Ports
-from rtec.loop.ports import FloatArray, IntArray
 from tests.loop.test_loop import run
 from tests.support.setups import setup
 
@@ -51,10 +51,10 @@ def test_a_device_of_another_clock_is_never_fresh(tmp_path: Path, what: str, ahe
         counts, temperatures = ports.counts, ports.temperatures[0]
 
         class Ahead:
-            def read_counts(self, values: IntArray) -> int:
+            def read_counts(self, values: Ints) -> int:
                 return counts.read_counts(values) + ahead_ns
 
-            def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+            def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
                 temperatures.read_temperatures(degc, time_ns)
                 time_ns += ahead_ns
 

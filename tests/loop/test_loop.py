@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.arrays import Ints
 from rtec.correction.flags import MODE_ON
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
-from rtec.loop.ports import IntArray
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
@@ -93,11 +93,11 @@ def test_raw_plus_inserted_is_what_the_controller_closes_its_loop_on(tmp_path: P
             def refuses(self, sink: Sink) -> str:
                 return box.refuses(sink)
 
-            def apply(self, output: IntArray) -> None:
+            def apply(self, output: Ints) -> None:
                 box.apply(output)
                 account.append(tuple((machine.inserted_counts - output).tolist()))
 
-            def read_output(self, output: IntArray) -> None:
+            def read_output(self, output: Ints) -> None:
                 box.read_output(output)
 
             def hold(self) -> None:
@@ -118,7 +118,7 @@ def test_a_silent_encoder_box_holds_the_correction_and_costs_no_cycle(tmp_path: 
         class Silent:
             reads = 0
 
-            def read_counts(self, counts: IntArray) -> int:
+            def read_counts(self, counts: Ints) -> int:
                 self.reads += 1
                 if silent_from < self.reads <= silent_to:
                     raise DriverTimeout("encoder box: no answer")

@@ -7,9 +7,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Ints
 from rtec.effects import Effect, State, effect_class
 from rtec.machine import Machine
-from rtec.metrology.instruments.base import Instrument, InstrumentSetup, Ints, Nuisance
+from rtec.metrology.instruments.base import Instrument, InstrumentSetup, Nuisance
 from rtec.metrology.measurement import Measurement
 from tests.support.machines import turning_centre
 

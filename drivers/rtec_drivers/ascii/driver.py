@@ -8,9 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats, Ints
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.loop.ports import Scanner
@@ -235,8 +233,6 @@ class ReadingBook:
             self.values[name] = (value, instant_ns)
 
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 SHOWN: Final = 60
 """Received bytes that a message shows."""
 READS_PER_POLL = 4
@@ -326,7 +322,7 @@ units = {T_air = "degf"}
         """Go on after a lost position: the next printed position is accepted as it is."""
         self._book.restart()
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in what was printed since, °C and instants; then raise the faults.
 
         Raises:
@@ -340,7 +336,7 @@ units = {T_air = "degf"}
                 degc[i], time_ns[i] = self._book.values[name]
         self._tell(trouble)
 
-    def read_counts(self, counts: IntArray) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill in the newest printed positions, in counts; give their instant, ns.
 
         Raises:

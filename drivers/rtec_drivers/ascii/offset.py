@@ -7,9 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Ints
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
@@ -20,7 +18,6 @@ from rtec_drivers.ascii.text import LINE_ENDS, LineReader
 from rtec_drivers.byte_line import ByteLine, way_of
 from rtec_drivers.reopen import NS, Backoff, Worker
 
-IntArray = NDArray[np.int64]
 COARSE = 10
 """Units by which a controller that answers in coarser steps is off at most."""
 Output = tuple[int, ...]
@@ -249,7 +246,7 @@ line_end = "crlf"
             return f"has resolution_um = {options.resolution_um:g}, the output has {sink.unit_um:g}: make them equal"
         return ""
 
-    def apply(self, output: IntArray) -> None:
+    def apply(self, output: Ints) -> None:
         """Command the absolute offsets, in units of `resolution_um`; the line's thread sends them.
 
         Raises:
@@ -260,7 +257,7 @@ line_end = "crlf"
         self._check_entered()
         self._account.order(tuple(int(n) for n in output))
 
-    def read_output(self, output: IntArray) -> None:
+    def read_output(self, output: Ints) -> None:
         """Fill in the offsets that the controller reports; where it cannot, the last ones sent or acknowledged.
 
         Raises:
@@ -285,7 +282,7 @@ line_end = "crlf"
         unit = self.options.resolution_um
         return ", ".join(f"{axis} {n * unit:+.4g} µm" for axis, n in zip(self._axes, output, strict=True))
 
-    def _was_told(self, output: IntArray) -> None:
+    def _was_told(self, output: Ints) -> None:
         self._account.set_from_earlier_run(tuple(int(n) for n in output))
 
     def _check_entered(self) -> None:

@@ -5,10 +5,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from rtec.arrays import Ints
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
@@ -134,7 +133,6 @@ def _furthest_mm(low_mm: float, high_mm: float) -> float:
     return max(high_mm - low_mm, abs(low_mm), abs(high_mm))
 
 
-IntArray = NDArray[np.int64]
 FIRST_WAIT_S = 0.1
 
 
@@ -240,7 +238,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """
         self._begin()
 
-    def read_counts(self, counts: IntArray) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill in the raw counts; give the instant of the question, ns: the counts are not older.
 
         Raises:
@@ -267,7 +265,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """Refuse all but pulses."""
         return "" if sink.kind == "pulse" else f"inserts counts: it takes 'pulse', not {sink.kind!r}"
 
-    def apply(self, output: IntArray) -> None:
+    def apply(self, output: Ints) -> None:
         """Command the inserted counts of every axis, absolute. Does not wait.
 
         Raises:
@@ -289,7 +287,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
             raise
         self._ledger.commanded(self._clock.now_ns())
 
-    def read_output(self, output: IntArray) -> None:
+    def read_output(self, output: Ints) -> None:
         """Fill in the box's newest ledger.
 
         Raises:

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from rtec.arrays import Ints
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
@@ -342,7 +341,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         self._tracker.restart()
         self._sent = self._good = None
 
-    def read_counts(self, counts: NDArray[np.int64]) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill in the newest raw counts; give the instant of their LATCH frame, ns.
 
         Raises:
@@ -370,7 +369,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         """Refuse all but pulses."""
         return "" if sink.kind == "pulse" else f"inserts counts: it takes 'pulse', not {sink.kind!r}"
 
-    def apply(self, output: NDArray[np.int64]) -> None:
+    def apply(self, output: Ints) -> None:
         """Command the inserted counts of every axis, absolute. Does not wait.
 
         Frames go out when the command changes, and every 20 ms: the next frame makes good for a lost one.
@@ -391,7 +390,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         self._sent, self._sent_ns = targets, now_ns
         self._ledger.commanded(now_ns)
 
-    def read_output(self, output: NDArray[np.int64]) -> None:
+    def read_output(self, output: Ints) -> None:
         """Fill in the box's newest ledger.
 
         Raises:

@@ -6,10 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
 from rtec.files import beside
 from rtec.loop.clock import Clock
@@ -152,7 +151,7 @@ map = ["i32"]
         """Stop listening and close."""
         self._port.close()
 
-    def read_temperatures(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64]) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in the newest values, °C, and their instants of arrival, ns; then raise the faults.
 
         Raises:

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from rtec.arrays import Ints
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout
 from rtec.files import beside
 from rtec.loop.clock import Clock
@@ -166,7 +165,7 @@ max_speed_mm_s = 500
         self._tracker.restart()
         self._used, self._counts = self._newest, None
 
-    def read_counts(self, counts: NDArray[np.int64]) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill in the newest positions, counts; give the instant at which they were latched, ns, or the earliest.
 
         Raises:

@@ -15,6 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.correction.flags import HOLD_REASONS, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.daemon.status import Report, Status
 from rtec.daemon.supervisor import Supervisor
@@ -45,14 +46,14 @@ class Logbook:
         output: the last output, by axis.
     """
 
-    time_ns: NDArray[np.int64]
-    held: NDArray[np.bool_]
+    time_ns: Ints
+    held: Bools
     age_s: Mapping[str, NDArray[np.float32]]
     fastest: float
-    commanded: NDArray[np.int64]
+    commanded: Ints
     output: Mapping[str, int]
 
-    def seconds(self, start_ns: int) -> NDArray[np.float64]:
+    def seconds(self, start_ns: int) -> Floats:
         """Time of every cycle since an instant, s, (n,)."""
         return np.asarray((self.time_ns - start_ns) * NS)
 
@@ -85,9 +86,7 @@ def read_logbook(path: Path, setup: Setup) -> Logbook:
     )
 
 
-def _fastest(
-    before: tuple[Samples, Commands] | None, samples: Samples, commands: Commands, slew: NDArray[np.float64]
-) -> float:
+def _fastest(before: tuple[Samples, Commands] | None, samples: Samples, commands: Commands, slew: Floats) -> float:
     """Largest change of a block, and from the block before, relative to what the slew limit allows in that time.
 
     A row whose ledger was taken over from the box is no change: the box had it already.

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.hil import Accuracy
 from rtec.machine import Machine
 from rtec.sim.controller import COMMAND, MOTOR, READING, SLIDE
 from rtec.sim.machine import SimulatedMachine, recording_of
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class TipTrack:
     time_s: Floats
     commanded_mm: Floats
     tip_um: Floats
-    inserted: NDArray[np.int64]
+    inserted: Ints
 
     def save(self, path: Path) -> None:
         """Write it as plain arrays."""
@@ -52,7 +50,7 @@ def errors_um(track: TipTrack, names: Sequence[str]) -> Floats:
     return track.tip_um[:, ["XYZ".index(d) for d in names]]
 
 
-def inside(time_s: Floats, spans: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
+def inside(time_s: Floats, spans: Sequence[tuple[float, float]]) -> Bools:
     """Which instants are in any of the spans, (n,)."""
     out = np.zeros(len(time_s), np.bool_)
     for low, high in spans:
@@ -74,7 +72,6 @@ def accuracy(track: TipTrack, names: Sequence[str], spans: Sequence[tuple[float,
 
 
 TRACED = [COMMAND, MOTOR, SLIDE, READING]
-Ints = NDArray[np.int64]
 
 
 class Recorder:

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from rtec.arrays import Floats, Ints
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
@@ -22,8 +22,6 @@ from rtec_drivers.temperatures import StuckWatch
 if TYPE_CHECKING:
     from rtec_drivers.linuxcnc.adopt import AdoptedMachine
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 LONGEST_SOCKET = 100
 FIRST_S, LONGEST_S = 0.1, 2.0
 
@@ -133,7 +131,7 @@ unit_um = 0.01
                 link.send(None)
                 self._resuming = True  # states from before the bridge got the order still have "cleared"
 
-    def read_counts(self, counts: IntArray) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill in the joints' positions as counts; give the instant of latching, ns.
 
         Raises:
@@ -149,7 +147,7 @@ unit_um = 0.01
         counts[:] = np.rint(np.array(state.mm) * self._per_mm)
         return min(state.time_ns, self._clock.now_ns())
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in the pins' temperatures, °C; their instant is that of the servo period.
 
         Raises:
@@ -197,7 +195,7 @@ unit_um = 0.01
         known = self._link.hello.max_um if self._link is not None else ()
         return known or (math.inf,) * len(self._machine.axes)
 
-    def apply(self, output: IntArray) -> None:
+    def apply(self, output: Ints) -> None:
         """Send the absolute output of every axis; does not wait.
 
         Raises:
@@ -214,7 +212,7 @@ unit_um = 0.01
         if refused:
             raise DriverFault(f"LinuxCNC: the bridge refuses commands: {refused}")
 
-    def read_output(self, output: IntArray) -> None:
+    def read_output(self, output: Ints) -> None:
         """Fill in the values of LinuxCNC's own pins.
 
         Raises:

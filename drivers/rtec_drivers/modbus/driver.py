@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.loop.ports import Scanner
@@ -354,7 +353,7 @@ open_codes = [32767, -32768]
         if worker is not None:
             worker.stop()
 
-    def read_temperatures(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64]) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in the newest valid values, °C, and the instants of their requests, ns; then raise the faults.
 
         Raises:

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats, Ints
 from rtec.correction.sinks import Sink, differs
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
@@ -283,8 +281,6 @@ class CommandAccount:
             raise DriverTimeout(f"no command was answered for {(now_ns - self._waiting_ns) * 1e-9:.2f} s")
 
 
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 LOOK_S = 0.01
 RECONNECT_NS = 5_000_000_000
 """After this time without any message both addresses are connected again; libzmq's own heartbeat takes 3 s."""
@@ -366,7 +362,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         if self._tracker is not None:
             self._tracker.restart()
 
-    def read_counts(self, counts: IntArray) -> int:
+    def read_counts(self, counts: Ints) -> int:
         """Fill in the newest counts; give their instant of latching by our clock, ns.
 
         Raises:
@@ -388,7 +384,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         counts[:] = got.values
         return self._counts_ns
 
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+    def read_temperatures(self, degc: Floats, time_ns: Ints) -> None:
         """Fill in the newest values, °C and instants by our clock; then raise the faults.
 
         Raises:
@@ -418,7 +414,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
             return "has no address for commands (its option command)"
         return differs(sink, options.actuator, options.unit_um)
 
-    def apply(self, output: IntArray) -> None:
+    def apply(self, output: Ints) -> None:
         """Send the absolute output of every axis. Does not wait.
 
         Raises:
@@ -434,7 +430,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         if command != self._commands.has:
             self._book.tell_silence()
 
-    def read_output(self, output: IntArray) -> None:
+    def read_output(self, output: Ints) -> None:
         """Fill in the output that the other process reports.
 
         Raises:

@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.correction.tables.table import (
     UNTRIED,
     CompensationTable,
-    Floats,
     TableAxes,
     TableFormat,
     TableLimits,

@@ -7,8 +7,9 @@ from math import prod
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.correction.tables.heidenhain import LEAST_MM, exponent
-from rtec.correction.tables.table import NO_PLACES, CompensationTable, Floats, HeatLine, TableFormat
+from rtec.correction.tables.table import NO_PLACES, CompensationTable, HeatLine, TableFormat
 from rtec.effects.derived import FAR_MM
 from rtec.errors import ConfigError
 from rtec.machine import Axis, Machine

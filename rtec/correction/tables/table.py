@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import ConfigError
 
-Floats = NDArray[np.float64]
 NO_PLACES: Floats = np.zeros(0)
 LARGEST_FILE: Final = 4 << 20
 """Bytes; four times the largest table of any format."""

@@ -5,16 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.diagnosis.compare.result import Bound
 from rtec.diagnosis.words import spoken, unit_of_channel
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.visible import moves
 from rtec.machine import Machine
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FINE, COARSE = 20, 8
 """Most stretches of a channel by itself, and of each of a pair."""

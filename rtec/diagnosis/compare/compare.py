@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.compare.bins import unit_of
 from rtec.diagnosis.compare.locate import locate
 from rtec.diagnosis.compare.result import Compared, Comparison, EffectShare, Outside, Region, Size, Traces
@@ -34,7 +34,6 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.parallel import one_blas_thread
 
-Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
 ABOVE = 1.1

@@ -22,16 +22,14 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.diagnosis.compare.bins import COARSE, FINE, Variable, variables_of, words_of
 from rtec.diagnosis.compare.result import Bound, Region
 from rtec.estimation.floor import draws
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, Series
 from rtec.wording import ERROR_UNITS, number
-
-Floats = NDArray[np.float64]
 
 STRETCHES, READINGS = 4, 3
 """Fewest stretches of the way, and fewest readings in each direction in each."""
@@ -91,7 +89,7 @@ def _of_axis(
     return Region((bound,), before**0.5, float(left.mean()), after**0.5, len(left), p, words, (), gap)
 
 
-def _gaps(place: Variable, plus: NDArray[np.bool_], minus: NDArray[np.bool_], left: Floats) -> Floats:
+def _gaps(place: Variable, plus: Bools, minus: Bools, left: Floats) -> Floats:
     """Mean in direction + less mean in direction -, in each stretch of the way with enough of both."""
     sizes, sums = [], []
     for mask in (plus, minus):
@@ -100,9 +98,6 @@ def _gaps(place: Variable, plus: NDArray[np.bool_], minus: NDArray[np.bool_], le
     full = (sizes[0] >= READINGS) & (sizes[1] >= READINGS)
     return np.asarray(sums[0][full] / sizes[0][full] - sums[1][full] / sizes[1][full])
 
-
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 LARGEST = 0.6
 """A region with more of the readings is no place: it is nearly everywhere."""

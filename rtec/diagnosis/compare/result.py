@@ -4,17 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats
 from rtec.diagnosis.compare.shape import ResidualShape
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation.floor import Floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings
 from rtec.result import Result
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects.derived import lag_track
 from rtec.estimation.gls import without_runs
 from rtec.estimation.gram.source import TAU_S
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.visible import moves, same_place_mm
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
 
 MOST_OF_IT = 0.5
 """Share of the mean square that a shape must explain."""

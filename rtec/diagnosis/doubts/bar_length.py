@@ -1,15 +1,13 @@
 """A ball bar whose length changes from circle to circle: it warms up in the hand, and no axis grows like that."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.wording import ERROR_UNITS, number, sizes
-
-Floats = NDArray[np.float64]
 
 FEWEST_RUNS = 4
 """Fewest circles that tell a length which changes from a drift."""

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.doubts.edits import ABOVE, FAR_LESS, HALF, NEAR_FIT, Edit, Edits, with_channels
 from rtec.estimation import floor
 from rtec.estimation.candidates import library, simple_effects
@@ -22,8 +22,6 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.model.history import steps_of
 from rtec.wording import listed
-
-Floats = NDArray[np.float64]
 
 BETTER = 0.5
 """An edit of the record is proposed where its residual is below this share of the current one,"""

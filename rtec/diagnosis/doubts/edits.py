@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.diagnosis.doubts.doubt import Doubt, Kind
 from rtec.effects import State
 from rtec.effects.cyclic import Cyclic
@@ -26,8 +26,6 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.travel import BEYOND
 from rtec.model import FittedEffect, Model
 from rtec.wording import significant, sizes
-
-Floats = NDArray[np.float64]
 
 SHIFT, SHIFTS, SMOOTH = 0.25, 101, 41
 """How far an origin may have moved, as a share of the travel; number of places in the grid, and where no effect of the
@@ -139,9 +137,9 @@ class Edits:
         self.read = {c for f in model.effects for c in f.effect.channels(machine)}
         self.parts = [self._part(f, readings) for f in model.effects] if parts is None else parts
         # Of effects of the model: where the lever arm is not zero, and the contribution over it, (m,) each.
-        self._by_arm: dict[int, tuple[NDArray[np.bool_], Floats]] = {}
+        self._by_arm: dict[int, tuple[Bools, Floats]] = {}
 
-    def _only(self, keep: NDArray[np.bool_]) -> "Edits":
+    def _only(self, keep: Bools) -> "Edits":
         """The same with some of the readings, (m,)."""
         if keep.all():
             return self
@@ -568,7 +566,7 @@ class Edits:
         return 0
 
     def _off(
-        self, source: int, name: str, since: NDArray[np.bool_], runs: Floats, whole: Floats, *, sloped: bool
+        self, source: int, name: str, since: Bools, runs: Floats, whole: Floats, *, sloped: bool
     ) -> tuple[float, float, Floats]:
         """Residual if a sensor was off by an amount of its own in each of some runs, and these amounts, K.
 

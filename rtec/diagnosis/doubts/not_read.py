@@ -5,8 +5,8 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL
@@ -17,8 +17,6 @@ from rtec.metrology.instruments.laser import LaserLinear
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.unread import is_rotary, joined, not_read, ranged
 from rtec.wording import ERROR_UNITS, listed, significant, sizes
-
-Floats = NDArray[np.float64]
 
 MOSTLY = 0.5
 """Share of the mean square that the column must leave at most."""

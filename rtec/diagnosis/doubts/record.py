@@ -7,8 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.diagnosis.doubts.bar_length import length_of_circles
 from rtec.diagnosis.doubts.doubt import ALONE, Doubt, Kind
 from rtec.diagnosis.doubts.edited import BETTER, edited_record, moves
@@ -36,8 +36,6 @@ from rtec.estimation.wrong_scale import odd_scales
 from rtec.model import Model
 from rtec.model.history import steps_of
 from rtec.wording import ERROR_UNITS, duration, listed, percent, significant, sizes, two_numbers
-
-Floats = NDArray[np.float64]
 
 FLAT, MUCH = 1.5, 5.0
 """Readings below this many times the noise are flat; a prediction above this many times it is large."""
@@ -289,7 +287,7 @@ def too_few(judged: Judgement, effect: str, size: float, drop: float) -> Doubt:
     return Doubt("too_few", message, step, fatal=True)
 
 
-def _in_range(model: Model, state: State) -> NDArray[np.bool_]:
+def _in_range(model: Model, state: State) -> Bools:
     """Which instants are in the range of the model's fit, (n,)."""
     out = np.ones(len(state), dtype=np.bool_)
     for name, (low, high) in model.valid_range.items():

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.doubts.record import doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
@@ -118,7 +118,6 @@ def rival_notes(taken: Finding, rivals: Sequence[PassedOver]) -> tuple[str, ...]
     return (first, *(f"to separate it from {r.label}: {r.test}" for r in rivals[:TOLD] if r.test))
 
 
-Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
 WORTH = 1e-3

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.search.screen import orthonormal
 from rtec.effects import Parameter
 from rtec.estimation.gls import solve
@@ -20,7 +20,6 @@ from rtec.estimation.noise import Whitener, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.model import FittedEffect
 
-Floats = NDArray[np.float64]
 Theta = dict[str, float]
 
 EVEN, LOGARITHMIC = 400, 120

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.result import Picture
 from rtec.diagnosis.search.picture import of_effect
 from rtec.effects.expression import expression_from_text
@@ -16,8 +16,6 @@ from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.result import Finding
 from rtec.effects import Effect
 from rtec.estimation import floor
@@ -17,8 +17,6 @@ from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings
 from rtec.machine import Machine
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
 
 SHARE = 0.5
 """A file has an event if its own is at least this share of the largest of all files."""

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.extend.add import is_there, new_effect
 from rtec.effects import Effect
 from rtec.effects.base import AxisEffect, Surroundings
@@ -29,8 +29,6 @@ from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.visible import within_record
 from rtec.estimation.warmth import off_the_fit
 from rtec.model import FittedEffect, Model
-
-Floats = NDArray[np.float64]
 
 LIKELIER = 50.0
 """How many times likelier the readings must become, for each temperature, or for each fixed end, that is tried."""

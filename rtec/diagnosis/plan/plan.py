@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.plan.parameters import Ball, Place, Planned, Stays, ball_place, planned
 from rtec.effects import Effect
 from rtec.errors import ModelError
@@ -30,7 +30,6 @@ from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect
 
-Floats = NDArray[np.float64]
 USUAL_NOISE = 0.5
 """White noise of a reading by default, µm or µrad."""
 

@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.diagnosis import words
 from rtec.diagnosis.plan.ideas import extra_tests
 from rtec.diagnosis.plan.parameters import names_of
@@ -30,8 +30,6 @@ from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.wording import duration
-
-Floats = NDArray[np.float64]
 
 CLEAR = math.log(20.0)
 """From these expected log odds on, a test separates two effects."""
@@ -57,7 +55,7 @@ class SimulatedRival:
     """
 
     name: str
-    columns: NDArray[np.int64]
+    columns: Ints
     values: Floats
 
 
@@ -146,7 +144,7 @@ def separated(
     return _pairs(split, gains, gains)
 
 
-def _as_columns(model: Model, rivals: Sequence[FittedEffect]) -> tuple[NDArray[np.int64], list[SimulatedRival]]:
+def _as_columns(model: Model, rivals: Sequence[FittedEffect]) -> tuple[Ints, list[SimulatedRival]]:
     """Places of the model's columns, and the rivals with theirs."""
     machine = model.machine
     edges = np.cumsum([_width(model.effects, machine), *(_width([f], machine) for f in rivals)])
@@ -158,7 +156,7 @@ def _as_columns(model: Model, rivals: Sequence[FittedEffect]) -> tuple[NDArray[n
 
 
 def ranked(
-    here: Floats, tests: Sequence[tuple[Extra, Floats]], base: NDArray[np.int64], rivals: Sequence[SimulatedRival]
+    here: Floats, tests: Sequence[tuple[Extra, Floats]], base: Ints, rivals: Sequence[SimulatedRival]
 ) -> list[Separator]:
     """Rank tests by how well they would separate rivals, from the information of each, (p, p).
 
@@ -188,7 +186,7 @@ def fitted_to(whitener: Whitener, base: Floats, effect: Effect, theta: Mapping[s
     return FittedEffect(effect, dict(zip(names, map(float, found[base.shape[1] :]), strict=True)), dict(theta))
 
 
-def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[SimulatedRival]) -> Floats:
+def _gains(whole: Floats, base: Ints, rivals: Sequence[SimulatedRival]) -> Floats:
     """Half the squared misfit of rival j fitted to rival i, (rivals, rivals)."""
     out = np.zeros((len(rivals), len(rivals)))
     for i, one in enumerate(rivals):
@@ -209,7 +207,7 @@ def _pairs(rivals: Sequence[SimulatedRival], before: Floats, after: Floats) -> t
     )
 
 
-def _misfit(whole: Floats, own: NDArray[np.int64], values: Floats, rest: NDArray[np.int64]) -> float:
+def _misfit(whole: Floats, own: Ints, values: Floats, rest: Ints) -> float:
     """Sum of squares of `columns[own] · values` that the columns `rest` cannot explain."""
     size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
     scaled = whole / np.outer(size, size)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import BESIDE_A_NAME, Doubt
 from rtec.diagnosis.doubts.record import runs_too_few, scatters, swings, too_few, unexplained
@@ -55,8 +55,6 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
 from rtec.estimation.outliers import outlier_words
 from rtec.model import FittedEffect, Model
-
-Floats = NDArray[np.float64]
 
 DECIDED = 0.99
 """A number has no standard error where the readings determine a smaller share of it than this by themselves."""
@@ -191,7 +189,7 @@ class _Answer:
         holds = [t.number in each and t.holds and t.drop > 0.0 and t.log_evidence > 0.0 for t in out]
         return out, [s and (h or not b) for s, h, b in zip(same, holds, besides, strict=True)], holds
 
-    def _posterior(self, odds: Floats, among: NDArray[np.bool_]) -> Floats:
+    def _posterior(self, odds: Floats, among: Bools) -> Floats:
         """Probability of each of these candidates against the others of them and "nothing"."""
         every = np.append(np.where(among, odds, -np.inf), self.s.prior_odds)
         weights = np.exp(every - every.max())

@@ -7,8 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.diagnosis.result import Alike
 from rtec.diagnosis.words import labels
 from rtec.effects import Effect
@@ -20,8 +20,6 @@ from rtec.estimation.readings import Readings
 from rtec.machine import Machine
 from rtec.model import FittedEffect
 from rtec.wording import significant
-
-Floats = NDArray[np.float64]
 
 SAME = 0.99
 """From this cosine between two contributions on, these readings cannot distinguish them."""
@@ -208,9 +206,7 @@ LONGEST_PITCH_MM = 60.0
 """No screw has a longer pitch."""
 
 
-def pitch_in_doubt(
-    effect: Effect, theta: Mapping[str, float], machine: Machine, numbers: NDArray[np.float64]
-) -> Alike | None:
+def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine, numbers: Floats) -> Alike | None:
     """A wave whose period is not the machine file's pitch: the file may be wrong; None for anything else.
 
     Twice a turn without a wave once a turn may be a screw of half the pitch or a coupling.
@@ -242,7 +238,7 @@ def pitch_in_doubt(
     )
 
 
-def _part_of_turn(effect: Effect, numbers: NDArray[np.float64]) -> int:
+def _part_of_turn(effect: Effect, numbers: Floats) -> int:
     """How many times a screw's wave repeats in a turn: 2 where only even harmonics are there; 1 for others."""
     if effect.effect != "cyclic_screw":
         return 1
@@ -289,7 +285,7 @@ def coincides(effect: Effect, theta: Mapping[str, float], machine: Machine) -> b
     return any(abs(turn * pitch / theta["period"] - 1.0) < COINCIDES for turn in (1.0, 0.5))
 
 
-def step_mm(readings: Readings, channel: str, seen: NDArray[np.bool_]) -> float | None:
+def step_mm(readings: Readings, channel: str, seen: Bools) -> float | None:
     """Step between targets along an axis where all are equal, mm; None where they are not, or are few.
 
     Args:

@@ -10,8 +10,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts.doubt import Doubt
 from rtec.diagnosis.doubts.edits import Edits
@@ -91,7 +91,6 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.parallel import each, one_blas_thread
 
-Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
 OVERWHELMING = math.log(50.0)

@@ -10,8 +10,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.search.refit import Refits
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import FINE, LEAN, LINE, PLANE, Ground, Shape, weigh_all
@@ -19,8 +19,6 @@ from rtec.diagnosis.search.unnamed import Shaped
 from rtec.estimation.gls import bic_cost, fit_columns
 from rtec.estimation.noise import Whitener, without_drift
 from rtec.estimation.readings import Readings
-
-Floats = NDArray[np.float64]
 
 DRAWS = 19
 """A curve that is better than that of each draw has a chance of one in twenty."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.search.confounded import STEPS
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import SHARP, Ground, LocalPlace, Shape, in_gap, weigh
@@ -217,8 +217,6 @@ def _sum(terms: Sequence[str]) -> str:
 def _short(value: float) -> str:
     return f"{value:.4g}"
 
-
-Floats = NDArray[np.float64]
 
 LEADING = 2
 """Component errors for which forms are weighed."""

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis import words
 from rtec.diagnosis.result import Diagnosis, Finding, OnCircle, Picture
 from rtec.diagnosis.search.confounded import period_mm
@@ -17,7 +17,6 @@ from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.model import FittedEffect
 
-Floats = NDArray[np.float64]
 PANELS = 3
 HARDLY = 0.3
 """Columns to which a finding contributes less than this share of its largest contribution are not shown."""

@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.search.screen import UNMOVED, Projected
 from rtec.effects import Effect, Parameter
 from rtec.estimation.gls import solve
@@ -20,7 +20,6 @@ from rtec.estimation.readings import Readings
 from rtec.estimation.visible import within_record
 from rtec.model.fit import SearchScale
 
-Floats = NDArray[np.float64]
 Theta = Mapping[str, float]
 
 EVALUATIONS = 12

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Floats
 from rtec.estimation import floor
 from rtec.estimation.columns import base_of
 from rtec.estimation.gls import solve
@@ -12,8 +10,6 @@ from rtec.estimation.noise import Whitener, find_noise, least_noise
 from rtec.estimation.outliers import Clean, WrongReading
 from rtec.estimation.readings import Readings
 from rtec.model import Model
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.diagnosis.search.confounded import (
     ANOTHER,
     FEIGNED,
@@ -38,8 +38,6 @@ from rtec.estimation.noise import Whitener, find_noise, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.targets import WAVES, predicts_targets
 from rtec.parallel import each
-
-Floats = NDArray[np.float64]
 
 
 def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
@@ -782,7 +780,7 @@ class Refits:
         """Channels that a day gives: temperatures, load and spindle speed."""
         return {"spindle_rpm", "load_kg", "force_n", *self.readings.machine.sensor_names}
 
-    def _files(self, columns: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _files(self, columns: Floats) -> tuple[Ints, Ints]:
         """Number of the file of each reading, (m,), and those files whose readings columns move."""
         source = np.array([s.source for s in self.readings.series])[self.readings.series_of]
         return source, np.unique(source[np.abs(columns).max(axis=1) > 0.0])
@@ -881,7 +879,7 @@ class Refits:
         return held_out_gain(whitener, self.prepared.base, columns, self.prepared.kept)
 
     @cached_property
-    def subset(self) -> tuple[NDArray[np.bool_], Readings]:
+    def subset(self) -> tuple[Bools, Readings]:
         """Which readings a screen uses, (m,), and these readings."""
         keep = looked_at(self.readings)
         return keep, self.readings if keep.all() else self.readings.without(~keep)

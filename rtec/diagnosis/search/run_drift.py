@@ -3,12 +3,10 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.readings import Readings, Series
 from rtec.wording import ERROR_UNITS, significant
-
-Floats = NDArray[np.float64]
 
 FEWEST = 4
 """Runs that a trend needs."""

@@ -19,16 +19,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.errors import ModelError
 from rtec.estimation.candidates import EffectCandidate
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings
 from rtec.parallel import each
 
-Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 ABSORBED = 2e-3
 """A direction is absorbed where the base leaves less than this share of its norm."""

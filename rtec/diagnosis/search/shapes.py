@@ -13,16 +13,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.diagnosis.search.screen import ABSORBED, Projected, norms
 from rtec.estimation.candidates import real
 from rtec.estimation.gls import bic_cost
 from rtec.estimation.readings import Readings
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 LEVELS = 8
 """A variable with at most this many values gets a column for each level."""

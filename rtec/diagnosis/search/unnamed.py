@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.search.screen import Projected, orthonormal
 from rtec.diagnosis.search.shapes import DETAIL, FINE, LINE, Ground, Shape, Weighed, all_shapes
 from rtec.estimation import floor
@@ -16,8 +16,6 @@ from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
 from rtec.machine import Machine
 from rtec.parallel import each
-
-Floats = NDArray[np.float64]
 
 RICH, LEAN, PLAIN = 10**6, 8, 3
 """Largest number of coefficients of any, simple and plain shapes."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import ModelError
 from rtec.estimation.determined import phases_of, undetermined
 from rtec.estimation.gram.identifiable import check_seen
@@ -18,8 +18,6 @@ from rtec.estimation.gram.stream import Progress, Term, gather, predict
 from rtec.estimation.gram.weights import residuals_of, rough_noise
 from rtec.estimation.plain import widening
 from rtec.estimation.robust import huber, settled, sigmas
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 6
 """Most fits, each with the weights from the one before."""

@@ -13,13 +13,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.estimation.gram.source import Source
 from rtec.estimation.gram.stream import Term, gather, predict
 from rtec.machine import Axis
-
-Floats = NDArray[np.float64]
 
 PER_UNIT_S2 = 1e-6
 """A servo gain of 1 µm per m/s²."""

@@ -10,12 +10,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.estimation.plain import telling
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PARTS = 10
 """Neighbouring blocks of a measurement are joined into this many parts."""
@@ -145,7 +142,7 @@ class Normal:
         """Degrees of freedom: readings less all numbers estimated from them."""
         return float(self.readings.sum() - self.lost.sum() - self.width - len(self.extra))
 
-    def only(self, blocks: NDArray[np.bool_]) -> "Normal":
+    def only(self, blocks: Bools) -> "Normal":
         """The normal equations of some of the blocks, (blocks,)."""
         kept = {n: getattr(self, n)[blocks] for n in ("gram", "fold", "source", "readings", "lost")}
         return replace(self, **kept)
@@ -178,7 +175,7 @@ class Normal:
         return float(squares_left(self.total[None], values[None])[0])
 
     @cached_property
-    def alone(self) -> NDArray[np.bool_]:
+    def alone(self) -> Bools:
         """Which explicit nuisances occur in only one fold, (folds, nuisances)."""
         whole = np.diag(self.total)[self.width : -1]
         own = np.diagonal(self.by_fold, axis1=1, axis2=2)[:, self.width : -1]

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import Effect, Parameter
 from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.source import LONGEST_LAG, Source
@@ -21,8 +21,6 @@ from rtec.estimation.gram.stream import Progress, Slope, Term, gather
 from rtec.estimation.visible import within_record
 from rtec.machine import Machine
 from rtec.model.fit import SearchScale
-
-Floats = NDArray[np.float64]
 
 GRID = 9
 STRAIGHT_GRID = 17
@@ -185,6 +183,6 @@ def _grid(parameters: Sequence[Parameter]) -> list[dict[str, float]]:
     return [dict(pairs) for pairs in itertools.product(*along)]
 
 
-def _left(normal: Normal, columns: list[NDArray[np.int64]]) -> float:
+def _left(normal: Normal, columns: list[Ints]) -> float:
     part = normal.pick(np.concatenate(columns))
     return part.squares(part.values())

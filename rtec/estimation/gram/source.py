@@ -14,16 +14,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects import State
 from rtec.estimation.held_out import Blocks, cuts
 from rtec.estimation.visible import NO_ARM, longest_arms, longest_s
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
-
-Floats = NDArray[np.float64]
 
 EMPTY = 1e-9
 """A nuisance is a copy of those before it where they leave less than this share of its size."""
@@ -106,12 +104,12 @@ class Source:
         return self.measurement.instrument.nuisance(self.state, self.measurement.run)
 
     @cached_property
-    def run_starts(self) -> NDArray[np.int64]:
+    def run_starts(self) -> Ints:
         """First reading of each run, and their number, (runs + 1,)."""
         return self.blocks.run_edges * self.count
 
     @cached_property
-    def whole(self) -> NDArray[np.bool_]:
+    def whole(self) -> Bools:
         """Runs that are in one block, (runs,)."""
         edges, runs = self.blocks.edges, self.blocks.run_edges
         first, last = np.searchsorted(edges, runs[:-1], "right"), np.searchsorted(edges, runs[1:] - 1, "right")
@@ -168,7 +166,7 @@ def flat(values: Floats) -> Floats:
     return np.ascontiguousarray(values.T, dtype=np.float64).ravel()
 
 
-def orthonormal(columns: list[Floats], starts: NDArray[np.int64], where: NDArray[np.bool_]) -> tuple[Floats, ...]:
+def orthonormal(columns: list[Floats], starts: Ints, where: Bools) -> tuple[Floats, ...]:
     """Gram-Schmidt, twice, within each stretch `starts[i] … starts[i + 1] - 1`; zero where `where` is false.
 
     A copy of earlier columns in some stretch is zero there.
@@ -187,7 +185,7 @@ def orthonormal(columns: list[Floats], starts: NDArray[np.int64], where: NDArray
     return tuple(out)
 
 
-def project(values: Floats, directions: tuple[Floats, ...], starts: NDArray[np.int64]) -> Floats:
+def project(values: Floats, directions: tuple[Floats, ...], starts: Ints) -> Floats:
     """Project the orthonormal directions out of (m,) values, stretch by stretch; returns new values."""
     lengths = np.diff(starts)
     for q in directions:

@@ -15,8 +15,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import Effect, State
 from rtec.effects.derived import FAR_MM, lag_update
 from rtec.effects.state import Value
@@ -25,8 +25,6 @@ from rtec.estimation.gram.source import Explicit, Source, flat, reads
 from rtec.jit import njit
 from rtec.machine import Machine
 from rtec.parallel import one_blas_thread
-
-Floats = NDArray[np.float64]
 
 
 @njit
@@ -146,7 +144,7 @@ class Carry:
             gone = gone + self._piece(buffer[:, a - start : b - start], [q[a:b] for q in directions], opens, closes)
         return gone
 
-    def _whole(self, buffer: Floats, runs: NDArray[np.int64], start: int) -> None:
+    def _whole(self, buffer: Floats, runs: Ints, start: int) -> None:
         """Runs within the chunk; a nuisance of one reading among several affects only that reading."""
         source = self._source
         for q, lane in zip(source.projected, source.lanes, strict=True):
@@ -169,7 +167,7 @@ class Carry:
         return -self._left.T @ self._left if closes else 0.0
 
 
-def _pieces(runs: NDArray[np.int64], begins: bool, ends: bool) -> list[tuple[int, int, bool, bool]]:
+def _pieces(runs: Ints, begins: bool, ends: bool) -> list[tuple[int, int, bool, bool]]:
     """Runs of a chunk that continue beyond it: first and last reading, whether it begins here, whether it ends here."""
     out = []
     only = len(runs) == 2

@@ -3,12 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_scatter
+from rtec.arrays import Floats, robust_scatter
 from rtec.estimation.gram.source import Source, project
-
-Floats = NDArray[np.float64]
 
 LEAST = 0.02
 """The noise of a reading is at least this share of the spread of its column."""

@@ -17,15 +17,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects import Effect
 from rtec.effects.derived import FAR_MM
 from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, Shape, along, axis_of, feeds_of, shape_of, square_of
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.wording import significant
 
-Floats = NDArray[np.float64]
 Kind = Literal["plain", "wave", "spike"]
 WIDEST_DEG = 15.0
 """Largest angle from the reversal to the top of a spike: smooth causes look the same farther away."""

@@ -20,15 +20,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.effects import Effect, State, effect_class
 from rtec.errors import MeasurementError
 from rtec.machine import Axis
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.instruments.ball_bar import axis_along
-
-Floats = NDArray[np.float64]
 
 UNITS = {
     "um": "µm",

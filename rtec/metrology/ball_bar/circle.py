@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects import State
 from rtec.effects.derived import FAR_MM
 from rtec.errors import MeasurementError
@@ -20,11 +20,8 @@ from rtec.metrology.instruments.ball_bar import (
     circle_channels,
     travelled_deg,
 )
-from rtec.metrology.instruments.base import Ints
 from rtec.metrology.measurement import Measurement
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 END_DEG = 0.01  # commanded positions are rounded to 1 µm
 QUADRANT_RAD = np.deg2rad(0.05)
 LEAST = 24

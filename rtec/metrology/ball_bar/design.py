@@ -11,14 +11,12 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.metrology.ball_bar.beyond import ExtraCause, candidates
 from rtec.metrology.ball_bar.causes import Cause, causes, tip_um
 from rtec.metrology.ball_bar.circle import CircleTest
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 UNSEEN = 1e-9
 """A column smaller than this share of the largest counts as zero."""
 ALIKE = 1e-6
@@ -170,7 +168,7 @@ class BarDesign:
         """Names of the parameters, (k)."""
         return tuple(c.name for c in self.labels)
 
-    def rows(self, keep: NDArray[np.bool_]) -> "BarDesign":
+    def rows(self, keep: Bools) -> "BarDesign":
         """The design with only these readings, (n,)."""
         return BarDesign(self.labels, self.columns[keep], self.tips[keep], self.squares[keep], self.bar_mm[keep])
 
@@ -285,9 +283,7 @@ def design_of(
     )  # fmt: skip
 
 
-def _split(
-    cause: Cause, circles: Sequence[CircleTest], rows: NDArray[np.int64], centre: Centre
-) -> Iterator[tuple[Cause, NDArray[np.bool_]]]:
+def _split(cause: Cause, circles: Sequence[CircleTest], rows: Ints, centre: Centre) -> Iterator[tuple[Cause, Bools]]:
     """One column of the cause for all tests; for a centre offset that is not shared, one a test."""
     if cause.centre is None or centre == "shared" or len(circles) == 1:
         yield cause, np.ones(len(rows), dtype=np.bool_)
@@ -296,7 +292,7 @@ def _split(
         yield replace(cause, name=f"{cause.name}_{i + 1}", title=f"{cause.title}, {circle.name}"), rows == i
 
 
-def _heights(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
+def _heights(circles: Sequence[CircleTest], rows: Ints) -> Iterator[tuple[Cause, Floats]]:
     """Actual minus stated height of the table-side ball, in each test with an inclined bar."""
     for i, circle in enumerate(circles):
         known_um = 1e3 * circle.setup.height_uncertainty_mm
@@ -307,7 +303,7 @@ def _heights(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator
             yield Cause(f"height_{i + 1}", title, "um", SETTING_UP, prior=known_um), tip
 
 
-def _zeros(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
+def _zeros(circles: Sequence[CircleTest], rows: Ints) -> Iterator[tuple[Cause, Floats]]:
     """Length of a bar that was not calibrated: one a test, or one a run."""
     run = np.concatenate([c.run for c in circles])
     for i, circle in enumerate(circles):

@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.metrology.ball_bar.causes import same_feed
 from rtec.metrology.ball_bar.circle import CircleTest, circles_of
 from rtec.metrology.ball_bar.design import SETTING_UP, Centre, NotLookedFor, table_of, with_setup
@@ -223,7 +223,6 @@ def _mean(one: FittedValue, two: FittedValue, weight: float) -> FittedValue:
     return replace(one, value=value, se=se, low=value - wide * se, high=value + wide * se)
 
 
-Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0
 RESIDUAL = "residual"
 """Name of the share that no cause explains."""

@@ -7,9 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.arrays import robust_sigma
+from rtec.arrays import Floats, robust_sigma
 from rtec.metrology.ball_bar.causes import UNITS, Cause, causes, tip_um
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.ball_bar.design import SETTING_UP, Centre
@@ -17,8 +16,6 @@ from rtec.metrology.ball_bar.fit import Fitted, chance_of, fit
 from rtec.metrology.ball_bar.noise import NOISE_UM
 from rtec.metrology.procedures.fitting import correlation_time
 from rtec.wording import counted, number, significant, two_numbers
-
-Floats = NDArray[np.float64]
 
 SURE = 1e-3
 """Accepted false-positive rate of a ball that was set again, and of a cause that changes from run to run (F test)."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.errors import MeasurementError
 from rtec.metrology.ball_bar.beyond import HALF_WAYS, WIDTH, ExtraCause
 from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, if_it_turns, same_feed
@@ -188,7 +188,6 @@ def _value(
     return FittedValue(*called, value, se, value - wide * se, value + wide * se, together, note)
 
 
-Floats = NDArray[np.float64]
 ROUNDS = 3
 """Gauss-Newton steps to the exact length of the bar; a fourth does not change the result."""
 
@@ -477,7 +476,7 @@ def mean_squares(simple: Fitted, richer: Fitted) -> float:
     return rss[0] / rss[1]
 
 
-def _used(circle: CircleTest, window_deg: float, beyond: Beyond) -> NDArray[np.bool_]:
+def _used(circle: CircleTest, window_deg: float, beyond: Beyond) -> Bools:
     """The readings of a test that a fit uses, (n,)."""
     if not beyond.picks:
         return ~circle.near_quadrant(window_deg)

@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.metrology.ball_bar.circle import CircleTest
 
-Floats = NDArray[np.float64]
 SAME_MM = 1e-3
 
 
@@ -121,7 +120,7 @@ def _pair(ccw: CircleTest, cw: CircleTest) -> BothWays:
     return BothWays((ccw.name, cw.name), float(np.ptp(left)), float(apart[worst]), at, radius)
 
 
-def _without(circle: CircleTest, travel_deg: Floats) -> NDArray[np.bool_]:
+def _without(circle: CircleTest, travel_deg: Floats) -> Bools:
     """Whether each angle is in a gap of the readings."""
     inside = [(low < travel_deg) & (travel_deg < high) for low, high in circle.gaps]
     return np.asarray(np.any([np.zeros(len(travel_deg), dtype=np.bool_), *inside], axis=0), dtype=np.bool_)
@@ -139,7 +138,7 @@ def _same_circle(one: CircleTest, other: CircleTest) -> bool:
     )
 
 
-def _runs(circle: CircleTest) -> list[NDArray[np.bool_]]:
+def _runs(circle: CircleTest) -> list[Bools]:
     return [np.asarray(circle.run == r) for r in np.unique(circle.run)]
 
 

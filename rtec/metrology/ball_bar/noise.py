@@ -13,12 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.jit import njit
 from rtec.metrology.ball_bar.circle import CircleTest
 
-Floats = NDArray[np.float64]
 NOISE_UM = 0.02
 """Lower bound of the noise; no ball bar reads finer."""
 SHARES = (0.1, 1.0, 10.0)

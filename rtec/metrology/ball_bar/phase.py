@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.ball_bar.design import APART, Centre, design_of, independent_share, stacked_design
@@ -27,7 +27,6 @@ from rtec.metrology.ball_bar.noise import NOISE_UM, WHITE
 from rtec.metrology.ball_bar.search import SURE_SE, clearance_of, residual_of_all
 from rtec.wording import significant
 
-Floats = NDArray[np.float64]
 Kind = Literal["angle", "time"]
 Phase = Literal["auto", "angle", "time"]
 SAME_SPEED = 1e-3

@@ -15,8 +15,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.metrology.ball_bar.beyond import ExtraCause
 from rtec.metrology.ball_bar.causes import Cause
 from rtec.metrology.ball_bar.circle import CircleTest
@@ -24,7 +24,6 @@ from rtec.metrology.ball_bar.design import CandidateTable, Centre, NotLookedFor,
 from rtec.metrology.ball_bar.fit import Beyond, Fitted, Pick, in_a_row, solve
 from rtec.metrology.ball_bar.noise import NOISE_UM, WHITE, AngleNoise, find_noise
 
-Floats = NDArray[np.float64]
 MORE = 1.2
 """The quadrants have a noise of their own if it is at least this many times that of the rest."""
 SWEEPS = 2

@@ -5,11 +5,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rtec.arrays import Bools, Floats
 from rtec.machine import Machine
 from rtec.metrology.contradicted import MOVED_MM, contradicted
 from rtec.metrology.diagonal import diagonal
 from rtec.metrology.files.faults import Faults, places
-from rtec.metrology.files.table import Bools, Floats, Raw
+from rtec.metrology.files.table import Raw
 from rtec.metrology.files.toml import Leniency
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.laser import LaserDiagonal

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.files.table import Floats
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup, axis_along, circle_channels, travelled_deg
-from rtec.metrology.instruments.base import Instrument, Ints
+from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.units import SUFFIXES
 from rtec.tomlfile import nearest
 from rtec.wording import significant

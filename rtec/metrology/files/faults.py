@@ -4,9 +4,7 @@ from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rtec.arrays import Ints
 from rtec.errors import MeasurementError
 
 SHOWN = 20
@@ -54,7 +52,7 @@ class Faults:
     def rows(
         self,
         kind: str,
-        lines: NDArray[np.int64],
+        lines: Ints,
         text: Callable[[int], str],
         way: str,
         *,

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects.derived import direction_track, direction_update
 from rtec.errors import MeasurementError
 from rtec.files import whole, write_text
@@ -33,7 +33,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.unread import is_rotary, varies
 from rtec.tomlfile import nearest
 
-Column = NDArray[np.float64] | NDArray[np.int64]
+Column = Floats | Ints
 
 
 def save_measurement(measurement: Measurement, path: Path) -> Path:
@@ -114,9 +114,6 @@ def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
             parquet.write_table(table, out, compression="zstd")
 
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 LIKE, MOST = 0.05, 0.8
 """An axis moved at its feed if its speed agrees within the first share, in the second share of readings."""
 LEAST = 3

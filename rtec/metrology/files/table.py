@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.errors import MeasurementError, first_line
 from rtec.files import check_size
 from rtec.metrology.files.faults import Faults, places
@@ -225,11 +225,6 @@ def _undecodable(e: UnicodeDecodeError, at: int, lines: int, path: Path, encodin
         f"{path}: line {line}: byte 0x{data[e.start]:02X} (byte {at + e.start} of the file, in {text!r}) "
         f"is no {encoding} text{other}"
     )
-
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

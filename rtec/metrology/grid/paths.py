@@ -9,14 +9,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import MeasurementError
 from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.fitting import correlation_time
 
-Floats = NDArray[np.float64]
 EXACT_MM = 1e-6
 STEP_MM = 0.1
 """Distance between the points at which the direction of a path is determined: far above the rounding and jitter of a
@@ -49,7 +48,7 @@ def straight_pieces(place: Floats) -> Iterator[tuple[int, int, int, int]]:
             yield along, int(way[first]), begin, end
 
 
-def _looks(place: Floats) -> NDArray[np.int64]:
+def _looks(place: Floats) -> Ints:
     """Rows that are `STEP_MM` along the path after the previous one in the list."""
     out = [0]
     first, second = (p.tolist() for p in place)
@@ -60,7 +59,7 @@ def _looks(place: Floats) -> NDArray[np.int64]:
     return np.array(out, dtype=np.int64)
 
 
-def _to_corners(across: Floats, looks: NDArray[np.int64], first: int, last: int) -> tuple[int, int]:
+def _to_corners(across: Floats, looks: Ints, first: int, last: int) -> tuple[int, int]:
     """First and last row of a piece, extended to the corners, which may be between two samples."""
     begin, end = int(looks[first]), int(looks[last])
     beside = float(np.median(across[begin : end + 1]))
@@ -226,7 +225,7 @@ def mean_curve(curves: Sequence[EdgeCurve]) -> EdgeCurve:
 
 
 def _edge(
-    measurement: Measurement, place: Floats, rows: NDArray[np.int64], along: int, way: int, came: int, trim_mm: float
+    measurement: Measurement, place: Floats, rows: Ints, along: int, way: int, came: int, trim_mm: float
 ) -> Edge | None:
     own = place[along, rows]
     low, high = float(own.min()), float(own.max())

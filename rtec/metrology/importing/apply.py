@@ -11,19 +11,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rtec.arrays import Bools, Floats
 from rtec.errors import MeasurementError
 from rtec.files import check_named
 from rtec.machine import Machine
 from rtec.metrology.files.columns import is_own
 from rtec.metrology.files.load import Column as Values
 from rtec.metrology.files.load import write_files
-from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.cycles import from_cycles
 from rtec.metrology.importing.frame import of_frame
 from rtec.metrology.importing.map import Column, ImportMap, RowRules, TemperatureLog
-from rtec.metrology.importing.rows import Bools, condition, from_events
+from rtec.metrology.importing.rows import condition, from_events
 from rtec.metrology.importing.temperature_log import LoggedTemperatures, matched
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables

@@ -6,13 +6,13 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.metrology.importing.map import Run, Time
 from rtec.metrology.importing.zones import ABSOLUTE, SUCH_AS, dated, in_utc, parsed, written, zone_of
-from rtec.metrology.readers.base import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, Floats, ForeignTable, Ints
+from rtec.metrology.readers.base import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, ForeignTable
 from rtec.metrology.units import convert
 from rtec.quantities import DAY_S
 from rtec.tomlfile import nearest
@@ -220,9 +220,7 @@ def runs(
     return numbers, [f"{numbers[-1]} runs" if numbers[-1] > 1 else "all rows are one run"]
 
 
-def _reversals(
-    name: str, dead_band_mm: float, columns: Mapping[str, Floats], time_s: Floats, source: str
-) -> NDArray[np.bool_]:
+def _reversals(name: str, dead_band_mm: float, columns: Mapping[str, Floats], time_s: Floats, source: str) -> Bools:
     """Rows at which the motion back begins, (n,).
 
     The rows at the turning point are split at the longest pause; if there is none, in the middle, as both directions

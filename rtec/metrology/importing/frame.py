@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
-from rtec.metrology.files.table import Floats
 from rtec.wording import listed
 
 LARGEST_RAD: Final = 1e-3

@@ -9,6 +9,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
@@ -33,7 +34,7 @@ from rtec.metrology.importing.words import (
     words_of,
 )
 from rtec.metrology.instruments.registry import INSTRUMENTS
-from rtec.metrology.readers.base import Floats, ForeignTable, number_or_none
+from rtec.metrology.readers.base import ForeignTable, number_or_none
 from rtec.metrology.readers.delimited import unit_named
 from rtec.metrology.readers.layout import Guess
 from rtec.metrology.units import UNITS, convert
@@ -252,7 +253,7 @@ class ColumnRoles:
         of = "minutes and seconds" if clock[1] == MINUTES else "time of day"
         return _When(clock[0], {"format": clock[1]}, f"{of}, {clock[1]}; no date in the file")
 
-    def _is_row(self) -> NDArray[np.bool_]:
+    def _is_row(self) -> Bools:
         """Whether each line has more than one cell; `End of test;;;` does not."""
         if len(self.table.columns) <= 2:
             return np.ones(len(self.table), dtype=np.bool_)
@@ -882,7 +883,7 @@ def _spread(values: Floats) -> float:
     return float(high - low)
 
 
-def _is_forward(marked: NDArray[np.bool_], at_mm: Floats) -> bool | None:
+def _is_forward(marked: Bools, at_mm: Floats) -> bool | None:
     """Whether an axis mostly moves forward to the marked rows and back to the others; None where it does not show."""
     way = np.sign(np.diff(at_mm))
     same = np.where(marked[1:], way, -way)
@@ -890,7 +891,7 @@ def _is_forward(marked: NDArray[np.bool_], at_mm: Floats) -> bool | None:
     return forward > back if max(forward, back) > CLEAR * (forward + back) else None
 
 
-def _filled(values: NDArray[Any]) -> NDArray[np.bool_]:
+def _filled(values: NDArray[Any]) -> Bools:
     """Whether each cell of a column has a value, (n,)."""
     if values.dtype != np.object_:
         return np.asarray(~np.isnan(values))

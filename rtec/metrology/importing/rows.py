@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.errors import MeasurementError
-from rtec.metrology.readers.base import Floats, ForeignTable, Texts, number_or_none
+from rtec.metrology.readers.base import ForeignTable, Texts, number_or_none
 from rtec.metrology.units import logged
 
-Bools = NDArray[np.bool_]
 MAX_CONDITION = 2000
 QUOTED = re.compile(r"`([^`]*)`")
 COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
@@ -181,7 +180,7 @@ def _word(cell: Any) -> str:
     return f"{cell:g}" if isinstance(cell, float) else str(cell).strip()
 
 
-def _instants(names: Sequence[str], keys: Sequence[Floats | Texts]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _instants(names: Sequence[str], keys: Sequence[Floats | Texts]) -> tuple[Ints, Ints]:
     """Row of each event, and the first event of each row; a repeated channel begins another row."""
     n = len(names)
     new = np.ones(n, dtype=np.bool_)
@@ -194,7 +193,7 @@ def _instants(names: Sequence[str], keys: Sequence[Floats | Texts]) -> tuple[NDA
     return np.cumsum(new, dtype=np.int64) - 1, np.flatnonzero(new).astype(np.int64)
 
 
-def _channel(values: Floats | Texts, rows: NDArray[np.int64], n: int, decimal: str) -> Floats | Texts:
+def _channel(values: Floats | Texts, rows: Ints, n: int, decimal: str) -> Floats | Texts:
     """Values of one channel at its rows, as numbers if all of them are."""
     numbers = [float(v) if isinstance(v, float) else number_or_none(str(v), decimal) for v in values]
     if all(v is not None for v in numbers):

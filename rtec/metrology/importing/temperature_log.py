@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
-from rtec.metrology.files.table import Floats
 from rtec.metrology.importing.clock import RowClock, said
 from rtec.metrology.importing.zones import SUCH_AS
 from rtec.quantities import DAY_S

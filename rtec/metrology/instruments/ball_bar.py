@@ -18,14 +18,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import State
 from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.base import (
     ORIGIN,
-    Floats,
     Instrument,
     InstrumentSetup,
-    Ints,
     Nuisance,
     Scope,
     component_index,

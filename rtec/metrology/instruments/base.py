@@ -23,9 +23,9 @@ from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects import State
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
@@ -33,9 +33,6 @@ from rtec.machine.chain import MM_URAD_TO_UM, component_unit
 from rtec.quantities import Vector
 from rtec.tomlfile import Strict, nearest
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 BLOCK = 16384
 """Number of poses in a block of `Instrument.arms_of`."""
 

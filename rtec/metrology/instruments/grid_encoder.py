@@ -9,14 +9,13 @@ from typing import Literal
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import (
     ORIGIN,
     AffineInstrument,
-    Floats,
     InstrumentSetup,
-    Ints,
     Letter,
     Nuisance,
     Scope,

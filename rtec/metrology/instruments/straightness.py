@@ -9,16 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import (
     ORIGIN,
     AffineInstrument,
-    Bools,
     Degree,
-    Floats,
     InstrumentSetup,
-    Ints,
     Letter,
     Nuisance,
     Scope,

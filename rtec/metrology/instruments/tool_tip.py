@@ -9,14 +9,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from rtec.arrays import Floats, Ints
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import (
     ORIGIN,
     AffineInstrument,
-    Floats,
     InstrumentSetup,
-    Ints,
     Letter,
     Nuisance,
     Scope,

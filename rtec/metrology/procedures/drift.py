@@ -13,13 +13,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
 from rtec.metrology.procedures.fitting import SeparableFit, correlation_time, separable_fit, unit_errors
 from rtec.result import Result
 
-Floats = NDArray[np.float64]
 COVERS = 0.95
 POINTS = 241
 PAIR_POINTS = 60

@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
 
-Floats = NDArray[np.float64]
 DEPENDENT = 1e-9
 """Columns are confounded if a combination of them is smaller than this share of the largest."""
 

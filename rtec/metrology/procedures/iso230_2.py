@@ -14,14 +14,13 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import MeasurementError
 from rtec.metrology.measurement import Measurement
 from rtec.result import Result
 from rtec.wording import percent
 
-Floats = NDArray[np.float64]
 SURE = 0.01
 """Accepted false-positive rate for a drift from scatter alone."""
 
@@ -371,7 +370,6 @@ def _few(visits: Visits) -> list[str]:
     return out
 
 
-Ints = NDArray[np.int64]
 SAME_TARGET_MM = 0.001
 OFTEN = 0.95
 """Share of the places that come again, below which positions are taken for logged ones."""

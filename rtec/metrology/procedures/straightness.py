@@ -15,13 +15,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
 from rtec.metrology.procedures.fitting import BestLine, best_line
 from rtec.result import Result
 
-Floats = NDArray[np.float64]
 Method = Literal["reversal", "pair", "face", "artefact"]
 
 

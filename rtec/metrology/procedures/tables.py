@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.errors import MeasurementError
 from rtec.metrology.instruments.spindle_drift import SpindleDriftSetup
 from rtec.metrology.instruments.straightness import StraightnessSetup
@@ -28,7 +28,6 @@ from rtec.metrology.units import UNITS
 from rtec.tomlfile import nearest
 from rtec.wording import listed
 
-Floats = NDArray[np.float64]
 Table = dict[str, Floats]
 LENGTHS = ("nm", "mm", "m", "inch", "mil", "urad", "mrad", "deg")
 """Suffixes of other units, which a column of µm may have by mistake."""
@@ -194,7 +193,7 @@ def _method(sets: Mapping[tuple[int, int], Floats | None]) -> str:
     return "pair" if all(s is not None for s in sets.values()) else "reversal"
 
 
-def _at(angle_deg: Floats, half: int) -> NDArray[np.bool_]:
+def _at(angle_deg: Floats, half: int) -> Bools:
     return np.abs(np.mod(angle_deg - half * HALF_TURN_DEG + 180.0, 360.0) - 180.0) <= ANGLE_TOLERANCE_DEG
 
 
@@ -215,9 +214,7 @@ def _sets(path: Path, table: Table, position: Floats, angle: Floats, probe: int,
     return np.stack([_one_set(path, r, places, position, reading, rows & (run == r)) for r in np.unique(run[rows])])
 
 
-def _one_set(
-    path: Path, run: float, places: Floats, position: Floats, reading: Floats, rows: NDArray[np.bool_]
-) -> Floats:
+def _one_set(path: Path, run: float, places: Floats, position: Floats, reading: Floats, rows: Bools) -> Floats:
     out = np.full(len(places), np.nan)
     for row in np.flatnonzero(rows):
         place = int(np.searchsorted(places, position[row]))
@@ -324,7 +321,7 @@ def straightness_of(measurement: Measurement, method: str | None = None) -> Stra
     return replace(found, name=name, axis=axis, words=words, notes={name: measurement.notes})
 
 
-def _ways(at: NDArray[np.int64], reading: Floats, way: Floats, places: int) -> Floats:
+def _ways(at: Ints, reading: Floats, way: Floats, places: int) -> Floats:
     """Mean reading of a run at each place, for each direction of motion there, (3, places); NaN where there is none.
 
     Args:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.errors import MeasurementError
 from rtec.files import check_size
 from rtec.metrology.files.table import look_over
@@ -19,8 +20,6 @@ from rtec.metrology.units import canonical
 from rtec.quantities import Counts
 from rtec.tomlfile import Strict, nearest
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Texts = NDArray[np.object_]
 EXPANSION = 16
 """Bytes of memory per byte of a text while it is read."""
@@ -116,7 +115,7 @@ class ForeignTable:
             f"{source}: line {line}: column {name!r}: {text!r} is no number; {_way(text, self.where)}"
         )
 
-    def rows(self, keep: NDArray[np.bool_]) -> "ForeignTable":
+    def rows(self, keep: Bools) -> "ForeignTable":
         """The table with only these rows, (n,)."""
         return replace(self, columns={n: v[keep] for n, v in self.columns.items()}, lines=self.lines[keep])
 

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import MeasurementError, first_line
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.table import floats
-from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, Texts, decoded, with_unit
+from rtec.metrology.readers.base import WHERE, ForeignTable, SourceOptions, Texts, decoded, with_unit
 from rtec.metrology.units import UNITS, canonical
 from rtec.text import NUMBER
 

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, Texts, decoded
+from rtec.metrology.readers.base import ForeignTable, SourceOptions, Texts, decoded
 from rtec.metrology.units import canonical
 from rtec.text import NUMBER
 

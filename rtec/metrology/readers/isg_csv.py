@@ -19,9 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, decoded
+from rtec.metrology.readers.base import ForeignTable, SourceOptions, decoded
 from rtec.text import NUMBER
 
 ARGUMENTS = {"X": "mm", "Y": "mm", "Z": "mm", "A": "deg", "B": "deg", "C": "deg"}

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from rtec.arrays import Floats
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, Texts, decoded
+from rtec.metrology.readers.base import ForeignTable, SourceOptions, Texts, decoded
 
 DEPTH = 8
 MOST_COLUMNS = 1000

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, decoded, filetime_text
+from rtec.metrology.readers.base import WHERE, ForeignTable, SourceOptions, decoded, filetime_text
 from rtec.metrology.units import canonical
 
 FILETIME_LEAST = 10**16  # larger than any milliseconds since a start; FILETIME passed it in 1632

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects import State
 from rtec.metrology.instruments.base import Instrument, Nuisance
 from rtec.metrology.measurement import Measurement
@@ -27,7 +27,6 @@ from rtec.sim.campaign.protocol import (
 )
 from rtec.sim.campaign.settings import Settings
 
-Floats = NDArray[np.float64]
 USUAL_NUISANCE = {"um": 5.0, "urad": 20.0, "um_per_m": 10.0, "um_per_m_degc": 0.95}
 
 
@@ -146,7 +145,7 @@ def _at_rest(truth: Model, cycle: Cycle) -> dict[str, Floats]:
     return {c: np.zeros(len(cycle.after_s)) for c in sorted(needed & motion)}
 
 
-def _state(truth: Model, whole: Timeline, true_degc: Mapping[str, Floats], rows: NDArray[np.int64]) -> State:
+def _state(truth: Model, whole: Timeline, true_degc: Mapping[str, Floats], rows: Ints) -> State:
     channels: dict[str, Floats] = {"spindle_rpm": whole.rpm[rows]}
     channels |= {name: values[rows] for name, values in whole.more.items()}
     for i, axis in enumerate(truth.machine.axes):
@@ -167,7 +166,7 @@ def _components(truth: Model, state: State) -> dict[str, Floats]:
 def _nuisances(
     nuisances: tuple[Nuisance, ...],
     readings: int,
-    run: NDArray[np.int64],
+    run: Ints,
     settings: Settings,
     rng: np.random.Generator,
 ) -> tuple[Floats, dict[tuple[str, int], float]]:
@@ -184,7 +183,7 @@ def _nuisances(
     return total, drawn
 
 
-def _read(instrument: Instrument, axes: tuple[str, ...], whole: Timeline, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _read(instrument: Instrument, axes: tuple[str, ...], whole: Timeline, rows: Ints) -> Bools:
     """Whether each reading is taken in each row, (readings, n)."""
     taken = np.array([instrument.reads_while(name) for name in (*axes, None)])  # index -1: no axis travels
     return np.asarray(taken[whole.travelling[rows]].T & whole.read[rows])

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.errors import ConfigError
 from rtec.machine import Axis, Machine
 from rtec.machine.chain import MM_URAD_TO_UM
@@ -22,7 +22,6 @@ from rtec.metrology.instruments.laser import LaserDiagonal
 from rtec.sim.campaign.settings import DrivenPath, Settings, Targets
 from rtec.tomlfile import nearest
 
-Floats = NDArray[np.float64]
 GOLDEN = 0.3819660112501051
 """Steps of (k + this) pitches cover all phases of the pitch evenly."""
 MARGIN, INTERVALS = 0.02, 20
@@ -48,12 +47,12 @@ class Cycle:
     pose_mm: Floats
     direction: Floats
     after_s: Floats
-    travelling: NDArray[np.int64]
+    travelling: Ints
     seconds: float
     path_mm: Floats
     notes: tuple[str, ...]
     more: Mapping[str, Floats] = field(default_factory=dict)
-    part: NDArray[np.int64] | None = None
+    part: Ints | None = None
 
 
 def make_cycle(machine: Machine, instrument: Instrument, targets: Targets) -> Cycle:
@@ -184,7 +183,7 @@ def _diagonal(machine: Machine, line: Floats, targets: Targets, both: bool) -> l
     return [(pose, -1, 0.0), (pose[::-1], -1, 0.0)] if both else [(pose, -1, 0.0)]
 
 
-def directions(pose: Floats, travelling: NDArray[np.int64], way: Floats) -> Floats:
+def directions(pose: Floats, travelling: Ints, way: Floats) -> Floats:
     """Last direction of every axis in a repeated cycle, (n, axes); the travelling axis overruns its end targets."""
     moved = np.sign(pose - np.roll(pose, 1, axis=0))
     rows = np.flatnonzero(travelling >= 0)

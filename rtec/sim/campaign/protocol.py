@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.effects.derived import lag_track
 from rtec.errors import ConfigError
 from rtec.jit import njit
@@ -28,9 +29,6 @@ from rtec.quantities import DAY_S
 from rtec.sim.campaign.cycle import MOST_ROWS, Cycle
 from rtec.sim.campaign.settings import DayPhase, ReadingNoise, SensorBody, Sensors, Settings, Targets, Thermal
 from rtec.tomlfile import nearest
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def drift_noise(time_s: Floats, sigma: float, tau_s: float, rng: np.random.Generator) -> Floats:
@@ -160,7 +158,7 @@ class Timeline:
     direction: Floats
     travelling: Ints
     run: Ints
-    read: NDArray[np.bool_]
+    read: Bools
     phase: Ints
     phases: tuple[str, ...]
     more: Mapping[str, Floats] = field(default_factory=dict)

@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 from nicegui import events, ui
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats, Ints
 from rtec.report.figures import Zoom
 from rtec.report.thinning import MOST, drawn
 from rtec.studio.parts import actions, figures
@@ -18,8 +18,6 @@ from rtec.tasks.model import DIRECTION, CompareView, OutlierView, SeriesView
 from rtec.tasks.report import DrawnPlot, marked_rows, marked_words
 from rtec.text import clean
 from rtec.wording import counted, decimals, number, sizes
-
-Ints = NDArray[np.int64]
 
 MOST_OUTLIERS = 50
 NONE: Final[Ints] = np.zeros(0, dtype=np.int64)
@@ -310,7 +308,7 @@ def _row_words(s: SeriesView, i: int) -> str:
     )
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 

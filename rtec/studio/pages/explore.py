@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 from nicegui import events, ui
-from numpy.typing import NDArray
 
+from rtec.arrays import Floats
 from rtec.diagnosis.words import titled
 from rtec.errors import RtecError
 from rtec.machine import Machine
@@ -26,7 +26,6 @@ from rtec.wording import ERROR_UNITS, significant
 from rtec.wording import number as shown
 
 SPEED_RPM, DEGC = 6000.0, 25.0
-Floats = NDArray[np.float64]
 MAGNIFIED: Final = (0.0, 5.0)
 """Range of the magnification, as powers of ten."""
 POSITIONS: Final = {

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtec.arrays import Bools, Floats, Ints
 from rtec.report.figures import log_ticks
 from rtec.report.thinning import MOST, by_place, cells_of, drawn, is_position, line_ends
 from rtec.text import clean
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from rtec.report.history import Stairs
     from rtec.tasks.model import OutlierView, SeriesView
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Figure = dict[str, Any]
 
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
@@ -113,7 +111,7 @@ def _band(floor: float) -> list[Figure]:
     return [{"type": "rect", **place, "fillcolor": "@floor", "line": {"width": 0}, "layer": "below"}]
 
 
-def ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str]]:
+def ways(direction: Floats) -> list[tuple[str, Bools, str, str]]:
     """Name, mask of the readings, (n,), colour and marker of each direction in the data."""
     both = [(", moving +", direction > 0, "@c3", "triangle-up"), (", moving −", direction < 0, "@c2", "triangle-down")]
     there = [w for w in both if w[1].any()]
