@@ -22,7 +22,13 @@ def test_reversals_that_are_alike_in_all_directions_may_be_the_probe_s(x_um: flo
     }
     instrument = make_instrument("tool_tip", {"directions": ["X", "Z"]}, None, None, machine, "test")
     m = Measurement(
-        "ball", instrument, machine, np.arange(n) * 6 // n, 15.0 * np.arange(n), {**places, **ways}, readings
+        "ball",
+        instrument,
+        machine,
+        np.arange(n) * 6 // n,
+        15.0 * np.arange(n, dtype=np.float64),
+        {**places, **ways},
+        readings,
     )
     found = diagnose(Model(machine, (), name="empty"), [m], draws=50)
     assert found.findings[0].effect.effect == "backlash"
