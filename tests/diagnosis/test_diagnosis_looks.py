@@ -124,6 +124,14 @@ def test_very_many_readings_are_looked_at_in_part(runs: int) -> None:
     assert each(lambda i: 2 * i, range(5), n) == [0, 2, 4, 6, 8]
 
 
+def test_one_reading_more_than_is_looked_at_is_no_fault() -> None:
+    """As it was, `diagnose` ended with a `ValueError` on 2501 readings and a few more. Oracle: there is only noise."""
+    time = 10.0 * np.arange(LOOK + 1.0)
+    noise = np.random.default_rng(8).standard_normal(LOOK + 1)
+    found = diagnose(Model(machine(), (), name="empty"), [measured(noise, time, T_bed=20.0 + np.sin(time / 5000.0))])
+    assert found.verdict == "nothing_missing"
+
+
 def test_no_law_is_truer_than_a_twentieth() -> None:
     """Oracle: the definition; drift and offset stay what they are in their own unit."""
     rng = np.random.default_rng(3)

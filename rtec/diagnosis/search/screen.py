@@ -183,9 +183,10 @@ class Screen:
             return 1.0, np.zeros(0)
         tops = []
         # Readings that are not kept are noise beside the directions; the kept ones represent all.
-        rest = max(len(self.projected.left) - len(self.directions) - self.projected.q.shape[1], 0)
+        skipped = len(self.projected.left) - len(self.directions)
+        rest = max(skipped - self.projected.q.shape[1], 0)
         directions, base = self.directions, None
-        if rest:
+        if skipped:
             directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-12)
         else:
             base = self.projected.q.astype(np.float32)
@@ -195,7 +196,7 @@ class Screen:
             total = (noise**2).sum(axis=0)
             if base is not None:
                 total -= ((base.T @ noise) ** 2).sum(axis=0)
-            else:
+            elif rest:
                 total += rng.chisquare(rest, len(total)).astype(np.float32)
             r2 = _sums(t2, self.variants) / total
             made = evidence(r2, self.counts[:, None], self.projected)
