@@ -129,11 +129,12 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
 
 
-def of_changes(changed: Sequence[ChangedNumber]) -> str:
-    """Numbers of a model that have changed, before and now, in words."""
+def of_changes(changed: Sequence[ChangedNumber], sure: bool = True) -> str:
+    """Numbers of a model that have changed, before and now, in words; or only seem so beside what is missing."""
     parts = list(map(_moved, changed))
     more = f" and {len(parts) - MOST_CHANGED} more" if len(parts) > MOST_CHANGED else ""
-    return f"Numbers of the model have changed since it was fitted: {', '.join(parts[:MOST_CHANGED])}{more}"
+    have = "have" if sure else "seem to have"
+    return f"Numbers of the model {have} changed since it was fitted: {', '.join(parts[:MOST_CHANGED])}{more}"
 
 
 def _moved(c: ChangedNumber) -> str:
@@ -199,11 +200,13 @@ def with_changes(d: Diagnosis, changed: Sequence[ChangedNumber], rms: float, hel
     unit = ERROR_UNITS[d.unit]
     warmed = any(c.warmer is not None and c.warmer.effect for c in changed)
     only = d.verdict == "nothing_missing" and not warmed and d.out_of_date and REFIT * rms < d.refit
+    d = replace(d, changed=tuple(changed), changed_rms=rms, changed_held_out=held_out)
+    sure = d.mostly_changed or d.verdict in ("nothing_missing", "undecided")
     text = (
-        f"{of_changes(changed)}; with these alone the residual falls from {before} to {after} {unit}"
+        f"{of_changes(changed, sure)}; with these alone the residual falls from {before} to {after} {unit}"
         f"{f' {REFITS}' if only else ''}." + of_warmth(changed) + of_sensors(changed)
     )
-    d = replace(d, changed=tuple(changed), changed_rms=rms, changed_held_out=held_out)
+    text += "" if sure else " What is missing may look the same: add it first."
     asked = of_files([b.message for b in d.doubts if b.kind == "other_machine"])
     if d.verdict == "nothing_missing" and warmed:
         return replace(d, verdict="undecided", sentence=" ".join([text, *asked]))

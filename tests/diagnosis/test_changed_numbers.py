@@ -13,6 +13,7 @@ import pytest
 import rtec
 from rtec.cli.main import status
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.words import with_changes
 from rtec.estimation.joint import changed_numbers
 from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
@@ -86,6 +87,20 @@ def test_a_number_has_changed_by_what_it_changes_beside_what_is_missing() -> Non
     now = re.search(r"Beside what is named, .*scale\(EXX, X\) k from 8\.0\d* to ([\d.]+) ", d.sentence)
     assert now is not None, d.sentence
     assert float(now[1]) == pytest.approx(13.0, abs=2.0)
+
+
+def test_beside_what_is_missing_they_only_seem_to_have_changed() -> None:
+    """A scale "has changed" from 6 to -10 was said as a fact where an expansion was missing. Oracle: the sentence."""
+    d = diagnose(known(), [today(1, WORN)], draws=50, explain=True)
+    missing = replace(d, verdict="missing_effect", sentence="A is missing.")
+    little, much = (
+        with_changes(missing, d.changed, share * d.rms_residual, share * d.rms_residual).sentence
+        for share in (0.9, 0.1)
+    )
+    assert little.startswith("A is missing. Numbers of the model seem to have changed since it was fitted: backlash")
+    assert little.endswith("What is missing may look the same: add it first.")
+    assert much.startswith("Numbers of the model have changed since it was fitted: backlash")
+    assert "may look the same" not in much
 
 
 def test_the_next_command_refits_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
