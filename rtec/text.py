@@ -9,6 +9,9 @@ import json
 import re
 import unicodedata
 from collections.abc import Iterable
+from typing import Final
+
+QUOTED: Final = r"""(?<!\w)'(?:[^'\\]|\\.)*'(?!\w)|(?<!\w)"(?:[^"\\]|\\.)*"(?!\w)"""
 
 NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 """Pattern of a number with a decimal point, as files hold it."""
@@ -31,8 +34,16 @@ def joined(texts: Iterable[str]) -> str:
 
 
 def without_numbers(text: str) -> str:
-    """A text without its numbers: two that differ by a time or a value alone say the same."""
-    return re.sub(r"[-+]?\d+(\.\d+)?", "", text)
+    """A text without its values: two that differ by a time or a value alone say the same.
+
+    Numbers that are names stay: T1, node 5, error code 8130h.
+    """
+    return re.sub(r"(?<![\w.])(?<!node )[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\dA-F]*h\b)", "", text)
+
+
+def gist(text: str) -> list[str]:
+    """What the clauses of a text say, without values and without what is quoted, such as bytes that were received."""
+    return without_numbers(re.sub(QUOTED, "", text)).split("; ")
 
 
 def _shown(character: str) -> str:

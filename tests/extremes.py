@@ -193,7 +193,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     for kind, more in (
         ("following_error", {"resolution_um": 0.1, "period_s": 0.02, "max_um": 500.0}),
         ("origin_offset", {"resolution_um": 0.1, "period_s": 0.02, "max_um": 500.0}),
-        ("phase", {"bits": 8, "range_mm": 0.0128, "period_s": 0.02}),
+        ("phase", {"bits": 11, "range_mm": 0.1024, "period_s": 0.02}),
     ):
         other = copy.deepcopy(run)
         other["output"] = {"X": {"kind": kind, **more}, "Z": {"kind": kind, **more}}

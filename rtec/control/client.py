@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
-from rtec.control.facts import headline, held, um_text
+from rtec.control.facts import headline, held, stays, um_text
 from rtec.control.messages import RequestError, Role, may_be_text, read_answer, request
 from rtec.control.places import all_of, answers, of_config
 from rtec.errors import RtecError
@@ -43,7 +43,6 @@ KEPT: Final = (Order.HOLD, Order.FADE)
 """Orders that must survive a restart of the daemon: they are done when they are on disk."""
 _MODE_WORDS: Final = {
     Order.ENABLE: "the correction follows the model",
-    Order.HOLD: "the correction stays where it is",
     Order.FADE: "the correction goes to nothing at its slew limit",
 }
 _NOTED: Final = {
@@ -317,12 +316,12 @@ def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], af
         return _kept(order, status, new, after)
     if not new or status["time_ns"] - new[-1]["time_ns"] < UNDER_ORDER_NS:
         return None
-    return Outcome(False, f"enabled, but the correction stays where it is: {why}", after)
+    return Outcome(False, f"enabled, but the correction {stays(after)}: {why}", after)
 
 
 def _kept(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
     """Result of an order that was carried out and must survive a power cut: is it on disk? None: not yet."""
-    text = _mode_text(order, status) if after.get("actuator", True) else "; ".join(headline(after)[1:])
+    text = _mode_text(order, status, after) if after.get("actuator", True) else "; ".join(headline(after)[1:])
     if order not in KEPT or status["kept_mode"] == status["mode"]:
         return Outcome(True, text, after)
     if status["kept_mode"] is None:
@@ -333,10 +332,11 @@ def _kept(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after
     return Outcome(False, f"{text}; but not kept: {trouble}", after)
 
 
-def _mode_text(order: Order, status: dict[str, Any]) -> str:
+def _mode_text(order: Order, status: dict[str, Any], after: dict[str, Any]) -> str:
     units = {axis: "" if um is None else " µm" for axis, um in status["applied_um"].items()}
     applied = ", ".join(f"{axis} {um_text(um)}{units[axis]}" for axis, um in status["applied_um"].items())
-    return f"{_MODE_WORDS[order]}; applied now: {applied}"
+    words = f"the correction {stays(after)}" if order is Order.HOLD else _MODE_WORDS[order]
+    return f"{words}; applied now: {applied}"
 
 
 def _resumed(

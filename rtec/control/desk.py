@@ -152,7 +152,8 @@ class Desk:
 
     def status(self) -> dict[str, Any]:
         """Everything that the daemon reports of itself."""
-        status, model = self.daemon.status, self.daemon.setup.model
+        status, setup = self.daemon.status, self.daemon.setup
+        model = setup.model
         per_mm = {axis.name: axis.counts_per_mm for axis in model.machine.axes}
         total, newest = self.daemon.recent_events(EVENTS)
         age_s = (self.clock.now_ns() - status.time_ns) * 1e-9 if status.time_ns else None
@@ -170,7 +171,12 @@ class Desk:
             "left": self.residual.facts(model),
             "status": facts,
             "status_age_s": age_s,
-            "temperature_max_age_s": self.daemon.setup.file.guard.temperature_max_age_s,
+            "temperature_max_age_s": setup.file.guard.temperature_max_age_s,
+            "beyond_stop": {
+                axis: limits.stop_um
+                for axis, limits in setup.file.limits.items()
+                if abs(status.applied_um.get(axis, 0.0)) > limits.stop_um
+            },
             "events_total": total,
             "events": [vars(event) for event in newest],
             "control": vars(self.tally),

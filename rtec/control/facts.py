@@ -5,14 +5,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from rtec.text import joined
-from rtec.wording import ERROR_UNITS, POSITIONS_NOT_KNOWN, TO_RESUME
+from rtec.wording import ERROR_UNITS, POSITIONS_NOT_KNOWN, TO_RESUME, listed
 
 STALLED_S: Final = 1.0
 """Largest age, s, of the newest row of a loop that runs."""
 _MODES: Final = {
     "on": "on: the correction follows the model",
     "off": "off: the correction goes to nothing, or has gone there",
-    "hold": "hold: the correction stays where it is",
     "": "starting",
 }
 
@@ -61,13 +60,16 @@ def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
 
 
 def input_rows(report: Mapping[str, Any]) -> list[list[str]]:
-    """For each input: name, value, age."""
-    status = report["status"]
+    """For each input: name, value, age; where the loop stands, the age now."""
+    status, stands_s = report["status"], _stands_s(report)
     age_s = status["counts_age_s"]
-    rows = [["counts", *(["not read", ""] if age_s is None else ["", f"{max(1e3 * age_s, 0.0):.2f} ms"])]]
+    if age_s is None:
+        rows = [["counts", "not read", ""]]
+    else:
+        rows = [["counts", "", _age(age_s + stands_s) if stands_s else f"{max(1e3 * age_s, 0.0):.2f} ms"]]
     for sensor, degc in status["degc"].items():
         value = "not read" if degc is None else f"{degc:.2f} °C"
-        rows.append([sensor, value, _age(status["degc_age_s"][sensor]) if degc is not None else ""])
+        rows.append([sensor, value, _age(status["degc_age_s"][sensor] + stands_s) if degc is not None else ""])
     rpm = status["spindle_rpm"]
     return [*rows, ["spindle", "not known" if rpm is None else f"{rpm:.0f} rpm", ""]]
 
@@ -98,12 +100,21 @@ def state_word(status: Mapping[str, Any]) -> tuple[str, str]:
     return status["mode"] or "starting", ""
 
 
+def stays(report: Mapping[str, Any]) -> str:
+    """What a correction does that is held: it stays, or goes back to a limit that was lowered below it."""
+    if beyond := report.get("beyond_stop"):
+        return f"goes back to stop_um of {listed(list(beyond))} at its slew limit, and stays there"
+    return "stays where it is"
+
+
 def _mode_line(report: Mapping[str, Any]) -> str:
     status = report["status"]
     if not report.get("actuator", True):
         return f"mode {status['mode'] or 'starting'}; without an actuator the loop commands nothing"
     if held(status):
-        return "mode on is ordered, but the correction stays where it is: see why"
+        return f"mode on is ordered, but the correction {stays(report)}: see why"
+    if status["mode"] == "hold":
+        return f"mode hold: the correction {stays(report)}"
     return f"mode {_MODES.get(status['mode'], status['mode'])}"
 
 
@@ -151,9 +162,15 @@ def troubles(report: Mapping[str, Any]) -> list[str]:
     lines += [f"{name}: {text}" for name, text in status["parts"].items()]
     if status["log"]:
         lines.append(f"log: {status['log']}")
-    if report["status_age_s"] is not None and report["status_age_s"] > STALLED_S:
-        lines.append(f"the loop stands: its newest row is {report['status_age_s']:.1f} s old")
+    if stands_s := _stands_s(report):
+        lines.append(f"the loop stands: its newest row is {stands_s:.1f} s old")
     return lines
+
+
+def _stands_s(report: Mapping[str, Any]) -> float:
+    """For how long the loop has stood, s; 0 where it runs."""
+    age_s: float = report.get("status_age_s") or 0.0
+    return age_s if age_s > STALLED_S else 0.0
 
 
 def reasons_not_ordered(status: Mapping[str, Any]) -> list[str]:

@@ -65,6 +65,11 @@ class PulseSink(Strict):
     quantum_counts: Literal[1, 4] = 1
     max_counts_per_s: CountsPerSecond = 20000.0
 
+    @property
+    def most_um(self) -> float:
+        """Largest correction, µm: counts have no limit of their own."""
+        return math.inf
+
     def scale(self, axis: Axis) -> SinkScale:
         """Counts; positive ones make the axis stop sooner, hence the sign."""
         per_um = -axis.counts_per_mm * 1e-3
@@ -89,6 +94,11 @@ class _OffsetSink(Strict):
     def unit_um(self) -> float:
         """One unit, µm."""
         return self.resolution_um
+
+    @property
+    def most_um(self) -> float:
+        """Largest correction, µm."""
+        return self.max_um
 
     def scale(self, axis: Axis) -> SinkScale:
         """Controller units, of the correction's own sign."""
@@ -129,6 +139,11 @@ class PhaseSink(Strict):
     def unit_um(self) -> float:
         """One step, µm."""
         return 2e3 * self.range_mm / float(2**self.bits)
+
+    @property
+    def most_um(self) -> float:
+        """Largest correction, µm; upwards one step less."""
+        return 1e3 * self.range_mm
 
     def scale(self, axis: Axis) -> SinkScale:
         """Steps of 2 · range / 2^bits (0.78 µm for 8 bits over ±0.1 mm), of the correction's own sign."""

@@ -20,8 +20,8 @@ from subprocess import DEVNULL, PIPE, Popen, TimeoutExpired
 from typing import Final, Self
 
 from rtec.daemon.supervision import DaemonPart, KeptThread
-from rtec.errors import LogError
-from rtec.log.folder import WRITTEN, both_clocks, first_name, log_files, time_header
+from rtec.errors import LogError, ModelError
+from rtec.log.folder import WRITTEN, both_clocks, first_name, log_files, model_copy, time_header
 from rtec.log.recording import Begin, Event, Events, Recording
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import Clock, wall_clock_iso
@@ -29,6 +29,7 @@ from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import LogTable, Setup
 from rtec.loop.state import Saved
 from rtec.loop.state_files import DiskState
+from rtec.model import save_model
 
 LOOK_NS: Final = 1_000_000_000
 TIDY_NS: Final = 60_000_000_000
@@ -233,7 +234,19 @@ def new_log(path: Path, setup: Setup, layout: Layout, clock: Clock, begin: Mappi
         **time_header(clock),
         **begin,
     }
-    return LogWriter(path, layout, header)
+    writer = LogWriter(path, layout, header)
+    if setup.model.effects and path.parent == log_folder(setup):
+        _keep_model(setup, path.parent)
+    return writer
+
+
+def _keep_model(setup: Setup, folder: Path) -> None:
+    """Keep a copy of a model beside the logs that it made, once: after a reload a log can be replayed with its own."""
+    copy = model_copy(folder, setup.model.hash)
+    with suppress(OSError, ModelError):  # a disk that is full is reported with the log; the next file tries again
+        copy.parent.mkdir(exist_ok=True)
+        if not copy.exists():
+            save_model(setup.model, copy, replace=False)
 
 
 MOST_SECONDS: Final = 60.0

@@ -27,7 +27,7 @@ from rtec.arrays import Ints
 from rtec.correction.flags import MODE_HOLD, OUTPUT_TROUBLE
 from rtec.daemon.process import prepare_process, starter
 from rtec.daemon.published import Published
-from rtec.daemon.recover import AtStart, Start, allowed, recover
+from rtec.daemon.recover import AtStart, Start, allowed, recover, why_waits
 from rtec.daemon.ring import Ring
 from rtec.daemon.sign_check import load_stepped
 from rtec.daemon.supervision import fault
@@ -93,11 +93,13 @@ class AfterCycle:
 
     def _tell(self) -> None:
         loop, ring = self._loop, self._ring
-        ring.takeovers = loop.stats.takeovers
+        reasons = loop.stats.reasons()
         if loop.keeper is not None:
             loop.keeper.waits = loop.waits
+            loop.keeper.tell_why(why_waits(reasons) if loop.waits else "")
         if ring.note is not None:
-            ring.note.write(loop.stats.reasons())
+            ring.note.write(reasons)
+        ring.takeovers = loop.stats.takeovers  # whoever sees it sees what is wrong since
 
     def _reload(self, row: Row, generation: int) -> None:
         self._reloads = generation
@@ -125,6 +127,7 @@ class AfterCycle:
             _let_go(self._loop.go_on_with(making.step, making.rows))
             writer = StateWriter(self._image, making.step, keeper.start_mode, keeper.sequence, keeper.zero)
             writer.order, writer.waits = keeper.order, keeper.waits
+            writer.tell_why(why_waits(self._loop.stats.reasons()) if writer.waits else "")
             self._loop.keeper = writer
             self._taken(row, making.generation)
 

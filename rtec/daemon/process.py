@@ -101,8 +101,12 @@ SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP)
 
 @contextmanager
 def signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Pass all signals to the handler; restore the previous handlers afterwards."""
-    previous = {number: signal.signal(number, handler) for number in SIGNALS}
+    """Pass all signals to the handler; restore the previous handlers afterwards.
+
+    The end of the terminal stays ignored where it was, as under `nohup`.
+    """
+    nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    previous = {n: signal.signal(n, handler) for n in SIGNALS if not (nohup and n == signal.SIGHUP)}
     try:
         yield
     finally:

@@ -10,7 +10,9 @@ for the order to resume. After a run that ended in order an offset register may 
 depends on what it was. A ledger beyond the stop limit waits for the order in any case (`rtec.loop.output.beyond`).
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -20,6 +22,10 @@ from rtec.loop.output import in_words, lost
 from rtec.loop.ports import HOLDS
 from rtec.loop.state import Saved, structure_of, units_of
 from rtec.loop.step import Step
+from rtec.text import joined
+from rtec.wording import TO_RESUME
+
+WAITED: Final = "the run before was stopped while it waited for an order to resume"
 
 
 @dataclass(frozen=True)
@@ -137,8 +143,22 @@ def _moved(step: Step, saved: Saved, counts: Ints | None) -> Bools:
 def _why_wait(step: Step, at_start: AtStart, saved: Saved, output: Ints, or_zero: bool) -> str:
     """Why an order is needed; "" where it is not."""
     if saved.waits and not or_zero:
-        return f"the run before was stopped while it waited for an order to resume; {HOLDS}"
+        return f"{WAITED}{f': {saved.why}' if saved.why else ''}; {HOLDS}"
     return lost(step, saved.output, output, allowed(step, at_start.slack_s), or_zero=or_zero)
+
+
+def why_waits(reasons: Mapping[str, Sequence[str]]) -> str:
+    """What a loop waits for an order to resume about, from the present failures by device; as the next start says it.
+
+    A wait that an earlier run began is about what it was about then.
+    """
+    out = []
+    for device, texts in reasons.items():
+        for text in (t for t in texts if TO_RESUME in t):
+            said = "; ".join(clause for clause in text.split("; ") if TO_RESUME not in clause)
+            if said != WAITED:
+                out.append(said.partition(f"{WAITED}: ")[2] or f"device {device}: {said}")
+    return joined(out)
 
 
 def allowed(step: Step, slack_s: float) -> Ints:

@@ -24,18 +24,19 @@ from rtec.model import FittedEffect, Model
 from rtec.tomlfile import nearest
 
 SPARE_NS: Final = 2_000_000_000
-_STEP: Final = re.compile(r"\s*(\w+)\s*=\s*([+-]?\d+(?:\.\d*)?|[+-]?\.\d+)\s*(?:um|µm|μm)?\s*")
+_STEP: Final = re.compile(r"\s*(\w+)\s*=\s*([+-]?\d+(?:\.\d*)?|[+-]?\.\d+)\s*(?:um|µm|μm)\s*")
 
 
 def step_of(text: str) -> dict[str, float]:
-    """Axis and size, µm, of a step in words, such as `X=20um` or `Z=-5`.
+    """Axis and size, µm, of a step in words, such as `X=20um` or `Z=-5um`; never without its unit.
 
     Raises:
         ConfigError: the text is not a step.
     """
     match = _STEP.fullmatch(text)
     if match is None:
-        raise ConfigError(f"--step {text!r}: give an axis and micrometres, as X=20um or X=-20um")
+        meant = f"{text.strip()}um" if _STEP.fullmatch(f"{text}um") else "X=20um or X=-20um"
+        raise ConfigError(f"--step {text!r}: give an axis and micrometres, as {meant}")
     return {match[1]: float(match[2])}
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.ring import Ring
-from rtec.loop.ports import HOLDS
 from rtec.loop.records import MODES_BY_NAME, NEVER_NS, Commands, Layout, Samples
-from rtec.text import joined, without_numbers
+from rtec.text import gist, joined
+from rtec.wording import TO_RESUME
 
 
 def texts_of(flags: Flag, causes: Mapping[str, str]) -> dict[str, str]:
@@ -176,8 +176,8 @@ class RowWatch:
             degc=dict(zip(sensors, samples.degc[-1].tolist(), strict=True)),
             degc_age_s=dict(zip(sensors, degc_age_s.tolist(), strict=True)),
             spindle_rpm=float(samples.spindle_rpm[-1]),
+            takeovers=ring.takeovers,  # before the devices' faults, which the loop writes first
             devices=ring.note.read() if ring.note is not None else {},
-            takeovers=ring.takeovers,
             reloads=ring.reloads,
             overruns=ring.overruns,
         )
@@ -213,17 +213,68 @@ Tell = Callable[[str, str], None]
 
 
 MOST_REASONS: Final = 5
-"""An alarm tells so many different reasons at most,"""
+"""An alarm tells so many reasons at most within `RECENT_NS`,"""
 MOST_WAITING: Final = 50
-"""and so many where one of them waits for an order: nothing goes on before somebody reads it."""
+"""and so many that wait for an order: nothing goes on before somebody reads them."""
+RECENT_NS: Final = 600_000_000_000
+MORE: Final = "more reasons come than are recorded; `rtec status` has the present ones"
 
 
 @dataclass
 class _Alarm:
+    """An alarm that goes on.
+
+    Attributes:
+        since_ns, last_ns: first and last instant.
+        says: clauses of its texts, without values, with their last instants; forgotten where away for a while.
+        told: the first texts that were reported, by what they say.
+        more: number of further ones.
+        told_ns: instants of the recent ones, by whether they wait for an order.
+        full: did it say that more reasons come than it tells?
+    """
+
     since_ns: int
     last_ns: int
-    texts: dict[str, str] = field(default_factory=dict)
-    """By what they say but for numbers, such as a time that grows."""
+    says: dict[str, int] = field(default_factory=dict)
+    told: dict[str, str] = field(default_factory=dict)
+    more: int = 0
+    told_ns: dict[bool, list[int]] = field(default_factory=lambda: {False: [], True: []})
+    full: bool = False
+
+    def look(self, now_ns: int, clauses: Sequence[str]) -> list[str]:
+        """Note the present clauses; those that it does not know."""
+        self.last_ns = now_ns
+        new = []
+        for clause in clauses:
+            known = next((k for k in self.says if k.startswith(clause)), None)
+            if known is None:
+                new.append(clause)
+            else:  # the newest row was good again: a flag without its cause is no news
+                self.says[known] = now_ns
+        self.says = {clause: at for clause, at in self.says.items() if now_ns - at < QUIET_NS}
+        return new
+
+    def has_room(self, now_ns: int, waits: bool) -> bool:
+        """May one more reason be reported now?"""
+        recent = self.told_ns[waits] = [at for at in self.told_ns[waits] if now_ns - at < RECENT_NS]
+        if not recent:
+            self.full = False
+        return len(recent) < (MOST_WAITING if waits else MOST_REASONS)
+
+    def add(self, now_ns: int, text: str, new: Sequence[str], waits: bool) -> None:
+        """Note a text that is reported."""
+        self.says |= dict.fromkeys(new, now_ns)
+        self.told_ns[waits].append(now_ns)
+        if len(self.told) < MOST_REASONS or waits:
+            self.told.setdefault("; ".join(gist(text)), text)
+        else:
+            self.more += 1
+
+    @property
+    def over(self) -> str:
+        """What to say at its end."""
+        more = f"; then {self.more} more" if self.more else ""
+        return f"{'; then '.join(self.told.values())}{more}; it lasted {(self.last_ns - self.since_ns) * 1e-9:.1f} s"
 
 
 class Alarms:
@@ -237,6 +288,7 @@ class Alarms:
         self._tell = tell
         self._going_on: dict[str, _Alarm] = {}
         self._first_ns: int | None = None
+        self._takeovers = 0
 
     def look(
         self,
@@ -245,6 +297,7 @@ class Alarms:
         devices: Mapping[str, Sequence[str]],
         causes: Mapping[str, str] | None = None,
         loop: str = "",
+        takeovers: int = 0,
     ) -> None:
         """Begin and end alarms.
 
@@ -254,28 +307,55 @@ class Alarms:
             devices: present faults, by device.
             causes: those of the newest row's flags, by the flag's name.
             loop: what is wrong with the loop itself; "" for nothing.
+            takeovers: number of orders to resume that were carried out: what they ended is news if it comes again.
         """
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         if now_ns - self._first_ns < START_NS:
             return
-        wrong = _wrong(passed & ~ORDERED, devices, causes or {}) | ({"loop": loop} if loop else {})
-        for key, text in wrong.items():
+        wrong = _wrong(passed & ~ORDERED, devices, causes or {})
+        if loop:
+            wrong["loop"] = loop, gist(loop)
+        if takeovers != self._takeovers:
+            self._takeovers = takeovers
+            self._resumed(wrong)
+        for key, (text, clauses) in wrong.items():
             alarm = self._going_on.setdefault(key, _Alarm(now_ns, now_ns))
-            alarm.last_ns, says = now_ns, without_numbers(text)
-            if any(known.startswith(says) for known in alarm.texts):
-                continue  # the newest row was good again: the flag without its cause is no news
-            most = MOST_WAITING if HOLDS in text else MOST_REASONS
-            if says not in alarm.texts and len(alarm.texts) < most:
-                alarm.texts[says] = text
+            new, waits = alarm.look(now_ns, clauses), TO_RESUME in text
+            if not new:
+                continue
+            if alarm.has_room(now_ns, waits):
+                alarm.add(now_ns, text, new, waits)
                 self._tell("alarm", text)
+            elif not alarm.full:
+                alarm.full = True
+                self._tell("alarm", f"{text.partition(': ')[0]}: {MORE}")
         for key, alarm in list(self._going_on.items()):
             if now_ns - alarm.last_ns >= QUIET_NS:
-                del self._going_on[key]
-                lasted_s = (alarm.last_ns - alarm.since_ns) * 1e-9
-                self._tell("alarm over", f"{'; then '.join(alarm.texts.values())}; it lasted {lasted_s:.1f} s")
+                self._end(key)
+
+    def _resumed(self, wrong: Mapping[str, tuple[str, Sequence[str]]]) -> None:
+        """Forget what the order to resume has ended: devices' faults, and what waited for it."""
+        for key, alarm in list(self._going_on.items()):
+            if not key.startswith("device ") and not any(TO_RESUME in text for text in alarm.told.values()):
+                continue
+            if key in wrong:
+                present = set(wrong[key][1])
+                alarm.says = {clause: at for clause, at in alarm.says.items() if clause in present}
+            else:
+                self._end(key)
+
+    def _end(self, key: str) -> None:
+        self._tell("alarm over", self._going_on.pop(key).over)
 
 
-def _wrong(flags: Flag, devices: Mapping[str, Sequence[str]], causes: Mapping[str, str]) -> dict[str, str]:
-    """Texts by device and role: a text with a growing time is still one alarm."""
-    out = {f"flag {name}": text for name, text in texts_of(flags, causes).items()}
-    return out | {f"device {name}": f"device {name}: {joined(texts)}" for name, texts in devices.items()}
+def _wrong(
+    flags: Flag, devices: Mapping[str, Sequence[str]], causes: Mapping[str, str]
+) -> dict[str, tuple[str, list[str]]]:
+    """Text and what its clauses say, by device and flag: a text with a growing time is still one alarm."""
+    out = {}
+    for name, text in texts_of(flags, causes).items():
+        out[f"flag {name}"] = text, [name, *(gist(causes[name]) if name in causes else ())]
+    for device, texts in devices.items():
+        text = joined(texts)
+        out[f"device {device}"] = f"device {device}: {text}", gist(text)
+    return out

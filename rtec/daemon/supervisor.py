@@ -64,8 +64,8 @@ Rows = Callable[[Samples, Commands], None]
 class Supervisor:
     """Runs a setup on the real clock.
 
-    The signals INT and TERM end the run in order. So does HUP, the end of the terminal; under a service manager HUP is
-    the order to reload. USR1 is the operator's order to resume.
+    The signals INT and TERM end the run in order. So does HUP, the end of the terminal, unless it was ignored already,
+    as under `nohup`; under a service manager HUP is the order to reload. USR1 is the operator's order to resume.
 
     Args:
         setup: the setup to run.
@@ -373,7 +373,7 @@ class Supervisor:
         passed = self._watch.take_passed()
         status = self._newest() if passed else self._watch.status
         stands = self._stands(now_ns) if now_ns - self._row_ns > STANDS_NS else ""
-        self._alarms.look(now_ns, passed, status.devices, status.causes, stands)
+        self._alarms.look(now_ns, passed, status.devices, status.causes, stands, status.takeovers)
 
     def _stands(self, now_ns: int) -> str:
         """What to say of a loop that ran its last cycle some time ago."""

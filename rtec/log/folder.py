@@ -65,6 +65,11 @@ def log_files(folder: Path) -> list[Path]:
     return sorted((p for p in logs if p.suffix == WRITTEN or p.with_suffix(WRITTEN) not in logs), key=place_of)
 
 
+def model_copy(folder: Path, model_hash: str) -> Path:
+    """Where the copy of a model is that made logs of this folder."""
+    return folder / "models" / f"{model_hash[:16]}.toml"
+
+
 def logs_at(path: Path) -> list[Path]:
     """The logs of a folder, oldest first; a file stands for itself.
 

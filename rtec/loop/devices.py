@@ -1,6 +1,5 @@
 """Finds drivers by name, makes the devices of a run file, and opens them together."""
 
-import math
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -196,8 +195,8 @@ def out_of_range(actuator: object, machine: Machine, file: "RunFile") -> list[st
         return []
     out = []
     for axis, most_um in zip(machine.axes, actuator.most_um, strict=True):
-        limits, own_um = file.limits.get(axis.name), getattr(file.output.get(axis.name), "max_um", math.inf)
-        if limits is not None and min(limits.stop_um, own_um) > most_um:
+        limits = file.limits.get(axis.name)
+        if limits is not None and limits.stop_um > most_um:
             out.append(
                 f"it takes at most {most_um:g} µm of axis {axis.name}, and stop_um is {limits.stop_um:g}: {LESS}"
             )

@@ -316,6 +316,8 @@ def load_setup(path: Path, *, needs_model: bool = True, needs_devices: bool = Tr
     base = path.parent
     machine = load_machine(base / file.run.machine)
     faults = [*_faults(file, machine, str(path)), *(_role_faults(file, str(path)) if needs_devices else ())]
+    if needs_devices:
+        faults += _output_faults(file, str(path))
     if needs_devices and file.table is not None:
         faults += _table_faults(file, file.table, machine, path)
     model = Model(machine, name="none")
@@ -347,7 +349,7 @@ def setup_of(data: Mapping[str, Any], path: Path, machine: Machine, model: Model
         ConfigError: all faults of the tables.
     """
     file = validated(RunFile, data, str(path))
-    if faults := [*_faults(file, machine, str(path)), *_role_faults(file, str(path))]:
+    if faults := [*_faults(file, machine, str(path)), *_role_faults(file, str(path)), *_output_faults(file, str(path))]:
         raise ConfigError("\n".join(faults))
     return Setup(path, file, machine, model, digest(_jsonable(data)))
 
@@ -367,6 +369,22 @@ def _faults(file: RunFile, machine: Machine, source: str) -> list[str]:
         if a.compensate and a.name not in file.limits
     ]
     return out + _capture_faults(file, machine, source)
+
+
+def _output_faults(file: RunFile, source: str) -> list[str]:
+    """Outputs that take less than the correction may become: the machine would have less than rtec goes by."""
+    out = []
+    for name, sink in file.output.items():
+        limits = file.limits.get(name)
+        if limits is None or limits.stop_um <= sink.most_um:
+            continue
+        key = "range_mm" if sink.kind == "phase" else "max_um"
+        out.append(
+            f"{source}: [output.{name}] {key} allows {sink.most_um:g} µm, and stop_um of [limits.{name}] is "
+            f"{limits.stop_um:g}: the machine would have less than is corrected. Lower stop_um to {sink.most_um:g}, or "
+            f"raise {key} if the controller takes more"
+        )
+    return out
 
 
 def _role_faults(file: RunFile, source: str) -> list[str]:

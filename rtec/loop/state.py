@@ -1,7 +1,8 @@
 """The loop's kept state: an image of three slots. One of them is whole at every instant, even within a write.
 
 Slots 0 and 1 are written in turns, slot 2 at a new beginning (a reload). Each slot is a row of 64-bit words: header,
-ledger, counts, zero, the step's memory, and a CRC-32 of all that. The CRC of a slot that was not written to its
+ledger, counts, zero, the step's memory, and a CRC-32 of all that. Behind it is a text with a CRC of its own: why the
+loop waits for an order to resume. The CRC of a slot that was not written to its
 end does not match; the other slot then still holds the cycle before. The loop writes a slot every cycle *before* the
 command goes out: after a kill, the ledger is the actuator's last command, or the one that was about to go out.
 """
@@ -34,6 +35,9 @@ _HEAD: Final = 20
 _AT_STRUCTURE: Final = slice(11, 15)
 _AT_UNITS: Final = slice(15, 18)
 _AT_SUPPLY, _AT_HOMED = 18, 19
+_WHY_WORDS: Final = 64
+WHY_BYTES: Final = (_WHY_WORDS + 1) * _WORD
+"""Bytes behind a slot: the text, and its CRC."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class Saved:
         units: units of output and counts (`units_of`).
         state: the step's memory.
         words: the slot itself.
+        why: what it waited for the order about; "" where that is not known, or it did not wait.
     """
 
     sequence: int
@@ -75,6 +80,7 @@ class Saved:
     units: bytes
     state: StepState
     words: bytes
+    why: str = ""
 
 
 def structure_of(step: "Step") -> bytes:
@@ -118,9 +124,10 @@ class StateWriter:
         self.sequence, self.start_mode, self.order, self.waits = sequence, start_mode, start_mode, False
         self.zero, axes, state = zero, len(step.layout.axes), step.state
         words = _HEAD + 3 * axes + state.ints.size + state.floats.size
-        if (words + 1) * _WORD > SLOT_BYTES:
-            raise ModelError(f"the step needs {words} words of memory; at most {SLOT_BYTES // _WORD - 1} can be kept")
-        self._state = state
+        most = SLOT_BYTES // _WORD - 2 - _WHY_WORDS
+        if words > most:
+            raise ModelError(f"the step needs {words} words of memory; at most {most} can be kept")
+        self._state, self._why = state, b"?"
         self._slots = [_Slot(image, k, axes, state.ints.size, state.floats.size) for k in range(SLOTS)]
         self._head = head = np.zeros(_HEAD, np.int64)
         head[_AT_MAGIC], head[_AT_START_MODE] = _MAGIC, start_mode
@@ -133,6 +140,14 @@ class StateWriter:
         """Keep the state after this cycle."""
         self.sequence += 1
         self._write(self._slots[self.sequence & 1], samples, output, row, 0)
+
+    def tell_why(self, text: str) -> None:
+        """Keep why the loop waits for an order to resume, in all slots; does nothing where that is kept already."""
+        content = text.encode()[: _WHY_WORDS * _WORD].ljust(_WHY_WORDS * _WORD, b"\0")
+        if content != self._why:
+            self._why = content
+            for slot in self._slots:
+                slot.why[:] = np.frombuffer(content + zlib.crc32(content).to_bytes(_WORD, "little"), np.int64)
 
     def snapshot(self, samples: Samples, output: Ints, row: int) -> None:
         """Keep it in the third slot: the state from which a new set-up begins after this row."""
@@ -165,10 +180,10 @@ class _Slot:
     def __init__(self, image: NDArray[np.uint8], k: int, axes: int, ints: int, floats: int) -> None:
         sizes = (_HEAD, axes, axes, axes, ints, floats)
         used = sum(sizes)
-        words = image[k * SLOT_BYTES : k * SLOT_BYTES + (used + 1) * _WORD].view(np.int64)
+        words = image[k * SLOT_BYTES : k * SLOT_BYTES + (used + 2 + _WHY_WORDS) * _WORD].view(np.int64)
         self.head, self.output, self.counts, self.zero, self.ints, rest = np.split(words[:used], np.cumsum(sizes)[:-1])
         self.floats = rest.view(np.float64)
-        self.crc = words[used:]
+        self.crc, self.why = words[used : used + 1], words[used + 1 :]
         self.body = memoryview(words[:used]).cast("B")  # type: ignore[arg-type]
 
 
@@ -199,8 +214,16 @@ def read_slot(image: bytes, k: int) -> Saved | None:
         structure=head[_AT_STRUCTURE].tobytes(),
         units=head[_AT_UNITS].tobytes(),
         state=StepState(rest.view(np.float64), its),
-        words=words[: used + 1].tobytes(),
+        words=words[: used + 2 + _WHY_WORDS].tobytes(),
+        why=_why(words[used + 1 : used + 2 + _WHY_WORDS].tobytes()) if head[_AT_WAITS] else "",
     )
+
+
+def _why(content: bytes) -> str:
+    """The text behind a slot; "" where it is not whole."""
+    text, crc = content[:-_WORD], content[-_WORD:]
+    whole = len(content) == (_WHY_WORDS + 1) * _WORD and zlib.crc32(text) == int.from_bytes(crc, "little")
+    return text.rstrip(b"\0").decode(errors="ignore") if whole else ""
 
 
 def newest(image: bytes) -> Saved | None:

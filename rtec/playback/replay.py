@@ -18,7 +18,7 @@ from rtec.arrays import Ints
 from rtec.correction.flags import MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import ConfigError, LogError
 from rtec.files import check_named
-from rtec.log.folder import REPLAYED, log_files
+from rtec.log.folder import REPLAYED, log_files, model_copy
 from rtec.log.format import Log
 from rtec.log.reader import open_log
 from rtec.log.writer import LogWriter
@@ -92,7 +92,7 @@ def replay_log(
     with open_log(log) as reader:
         step = Step(replace(setup.step_settings(), longest_cycle_s=_longest_cycle_s(reader.header, setup, log)))
         _check_layout(reader, step.layout, log)
-        report.notes = _notes(reader.header, setup)
+        report.notes = _notes(reader.header, setup, log)
         _begin_as(reader.header, step, setup, log)
         total = reader.rows
         writer = None if out is None else LogWriter(out, step.layout, {**setup.log_header(), "replay_of": log.name})
@@ -152,7 +152,7 @@ def _check_layout(reader: Log, layout: Layout, log: Path) -> None:
             )
 
 
-def _notes(header: dict[str, str], setup: Setup) -> list[str]:
+def _notes(header: dict[str, str], setup: Setup, log: Path) -> list[str]:
     """Which of machine, model and run file have changed since the log was written, in words."""
     now = setup.log_header()
     out = []
@@ -165,7 +165,9 @@ def _notes(header: dict[str, str], setup: Setup) -> list[str]:
         ("rtec_version", "version of rtec"),
     ):
         if header.get(key) != now[key]:
-            out.append(f"the {what} is not the one that the log was made with")
+            copy = model_copy(log.parent, header.get(key, ""))
+            there = f"; [run] model = {str(copy)!r} is" if what == "model" and copy.is_file() else ""
+            out.append(f"the {what} is not the one that the log was made with{there}")
     return out
 
 

@@ -4,9 +4,9 @@ import threading
 
 from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.process import WAITING, LinePrinter
-from rtec.daemon.status import MOST_REASONS, QUIET_NS, START_NS, Alarms
+from rtec.daemon.status import MORE, MOST_REASONS, QUIET_NS, RECENT_NS, START_NS, Alarms
 from rtec.loop.ports import HOLDS
-from rtec.text import joined
+from rtec.text import gist, joined, without_numbers
 
 S = 1_000_000_000
 FIRST = 1 + START_NS
@@ -93,9 +93,14 @@ def test_reasons_without_end_are_no_flood() -> None:
     made, told = alarms()
     for k in range(20):
         made.look(FIRST + k * S, Flag(0), {"odd": ["x" * k]})
-    assert len(told) == MOST_REASONS
+    assert told[MOST_REASONS:] == [("alarm", f"device odd: {MORE}")], "once"
+    del told[:]
     made.look(FIRST + 20 * S, Flag(0), {"odd": [f"it restarted; {HOLDS}"]})
-    assert told[MOST_REASONS:] == [("alarm", f"device odd: it restarted; {HOLDS}")], "an order is waited for"
+    assert told == [("alarm", f"device odd: it restarted; {HOLDS}")], "an order is waited for"
+    del told[:]
+    for k in range(21, 21 + RECENT_NS // S):
+        made.look(FIRST + k * S, Flag(0), {"odd": ["y" * k]})
+    assert 0 < len(told) <= MOST_REASONS + 1, "ten minutes later there is room again"
 
 
 def test_a_loop_that_stands_is_an_alarm() -> None:
@@ -113,3 +118,45 @@ def test_a_clause_of_two_reasons_is_said_once() -> None:
     made, told = alarms()
     made.look(FIRST, Flag(0), {"box": ["lost; it holds", "far away; it holds"]})
     assert told == [("alarm", "device box: lost; it holds; far away")]
+
+
+def test_what_an_order_to_resume_ended_is_news_when_it_comes_again() -> None:
+    """Lost, resumed, and lost again 4 s later: two alarms. What is there before and after the order is one."""
+    made, told = alarms()
+    lost, silent = f"READY came: it restarted; {HOLDS}", "no answer for 1 s"
+    made.look(FIRST, Flag(0), {"cell": [lost, silent], "thermo": [silent]}, takeovers=3)
+    made.look(FIRST + 1 * S, Flag(0), {"cell": [silent], "thermo": [silent]}, takeovers=4)
+    made.look(FIRST + 5 * S, Flag(0), {"cell": [lost, silent], "thermo": [silent]}, takeovers=4)
+    first = f"device cell: {lost}; {silent}"
+    assert told == [("alarm", first), ("alarm", f"device thermo: {silent}"), ("alarm", first)]
+    del told[:]
+    made.look(FIRST + 6 * S, Flag(0), {"thermo": [silent]}, takeovers=5)
+    assert told == [("alarm over", f"{first}; it lasted 5.0 s")]
+
+
+def test_a_reason_that_stays_hides_no_other() -> None:
+    """A CANopen emergency that nobody resets, and lines of garbage: a later bus-off is told, and told again."""
+    made, told = alarms()
+    emergency, off = "node 5: emergency message, error code 8110h", "can0: bus-off: look at wiring"
+    for k in range(3):
+        made.look(FIRST + k * S, Flag(0), {"can": [emergency, f"a line that fits no pattern: {'x; y' * k!r}"]})
+    assert len(told) == 1
+    for at in (20, 60):
+        for k in range(20):
+            made.look(FIRST + (at + k) * S, Flag(0), {"can": [emergency, *([off] if k == 10 else [])]})
+    assert told[1:] == [("alarm", f"device can: {emergency}; {off}")] * 2
+
+
+def test_numbers_that_are_names_differ() -> None:
+    """Oracle: sensors, nodes and error codes that a person tells apart; ages, which nobody does."""
+    names = ["T1: open circuit", "T2: open circuit", "node 5: x", "node 6: x", "code 8110h", "code 8120h", "code FF10h"]
+    assert len({without_numbers(name) for name in names}) == len(names)
+    for one, other in (("for 1.5 s", "for 12 s"), ("is -3e-05 off", "is +12 off"), ("seq=7", "seq=812")):
+        assert without_numbers(one) == without_numbers(other)
+    assert gist("""T1: 'a; b\\'c' is no number; the device's own "x"; it's 3 s old""") == [
+        "T1:  is no number", "the device's own ", "it's  s old",
+    ]  # fmt: skip
+    made, told = alarms()
+    for k, name in enumerate(("T1", "T2")):
+        made.look(FIRST + k * S, Flag(0), {"thermo": [f"{name}: open circuit"]})
+    assert len(told) == 2

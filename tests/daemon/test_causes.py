@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rtec.control.desk import Desk
-from rtec.control.facts import axis_rows, input_rows, um_text
+from rtec.control.facts import axis_rows, headline, input_rows, um_text
 from rtec.control.prometheus import metrics
 from rtec.correction.flags import MODE_ON, REASONS, Flag
 from rtec.daemon.causes import causes
@@ -93,6 +93,34 @@ def test_what_was_never_read_is_not_known(setup: Setup) -> None:
     assert not [line for line in metrics(report).splitlines() if "rtec_counts_age" in line or "temperature_age" in line]
     assert [row[1:3] for row in axis_rows(report)] == [["not known", "not known"]] * len(setup.machine.axes)
     assert input_rows(report)[0] == ["counts", "not read", ""]
+
+
+def test_ages_are_those_of_now_where_the_loop_stands(setup: Setup) -> None:
+    """The row is 3 s and 70 s old; its counts were 0.44 ms old in it, and its temperature 1 s. Oracle: the sums."""
+    row = Row(setup)
+    row.sample.counts_time_ns[:] = NOW_NS - 440_000
+    row.sample.degc_time_ns[:] = NOW_NS - 1_000_000_000
+    daemon = FakeDaemon(setup)
+    daemon.status = row.status()
+    for stands_s, ages in ((0.5, {"0.44 ms", "1.0 s"}), (3.0, {"3.0 s", "4.0 s"}), (70.0, {"70.0 s", "71.0 s"})):
+        report = Desk(daemon, VirtualClock(NOW_NS + round(stands_s * 1e9)), {}).status()
+        assert {age for *_, age in input_rows(report) if age} == ages
+
+
+def test_a_correction_beyond_a_lowered_limit_goes_back(setup: Setup) -> None:
+    """Held or not: `rtec.correction.guard` takes it to the limit. Oracle: stop_um of X, 100 µm."""
+    daemon = FakeDaemon(setup)
+    for um, mode, says in (
+        (100.0, "hold", "mode hold: the correction stays where it is"),
+        (100.5, "hold", "mode hold: the correction goes back to stop_um of X at its slew limit, and stays there"),
+        (-100.5, "on", "mode on is ordered, but the correction goes back to stop_um of X at its slew limit, and stays"),
+        (-99.0, "on", "mode on is ordered, but the correction stays where it is: see why"),
+    ):
+        flags = Flag.HELD | Flag.OVER_STOP_LIMIT
+        daemon.status = replace(daemon.status, mode=mode, flags=flags, applied_um={"X": um, "Z": 3.0})
+        report = Desk(daemon, VirtualClock(NOW_NS), {"machine": "m", "config": "c"}).status()
+        assert report["beyond_stop"] == ({"X": 100.0} if "back" in says else {})
+        assert headline(report)[1].startswith(says)
 
 
 def test_a_temperature_that_is_stale_or_missing_names_its_sensor(setup: Setup) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from rtec.correction.flags import Flag
-from rtec.daemon.process import STATUS_NS, Notifier
+from rtec.daemon.process import STATUS_NS, Notifier, signals
 from rtec.daemon.status import Status
 from rtec.loop.clock import VirtualClock
 from tests.support import faulty, setups
@@ -259,3 +259,18 @@ def _drain(made: socket.socket, seconds: float) -> list[str]:
     except TimeoutError:
         made.settimeout(120)
         return out
+
+
+@pytest.mark.parametrize("before", [signal.SIG_IGN, signal.SIG_DFL])
+def test_the_end_of_the_terminal_stays_ignored_under_nohup(before: signal.Handlers) -> None:
+    """`nohup` starts it with SIGHUP ignored. Oracle: a signal that is sent for real, and what stood there before."""
+    came: list[int] = []
+    own = signal.signal(signal.SIGHUP, before)
+    try:
+        with signals(lambda number, _: came.append(number)):
+            os.kill(os.getpid(), signal.SIGHUP)
+            os.kill(os.getpid(), signal.SIGUSR1)
+        assert signal.getsignal(signal.SIGHUP) == before
+    finally:
+        signal.signal(signal.SIGHUP, own)
+    assert came == ([signal.SIGUSR1] if before == signal.SIG_IGN else [signal.SIGHUP, signal.SIGUSR1])

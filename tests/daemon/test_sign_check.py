@@ -40,10 +40,9 @@ def setup(tmp_path: Path) -> Setup:
     ("text", "expected"),
     [
         ("X=20um", {"X": 20.0}),
-        ("X=20", {"X": 20.0}),
         (" Z = -5.5 µm ", {"Z": -5.5}),
         ("X=+.5um", {"X": 0.5}),
-        ("X2=3.", {"X2": 3.0}),
+        ("X2=3.um", {"X2": 3.0}),
     ],
 )
 def test_what_a_step_may_look_like(text: str, expected: dict[str, float]) -> None:
@@ -54,6 +53,13 @@ def test_what_a_step_may_look_like(text: str, expected: dict[str, float]) -> Non
 def test_what_is_no_step_is_told_with_examples(text: str) -> None:
     with pytest.raises(ConfigError, match="as X=20um or X=-20um"):
         step_of(text)
+
+
+def test_a_step_without_a_unit_is_refused_with_the_unit() -> None:
+    """20 of what? It moves a machine. Oracle: the text with its unit."""
+    for text, meant in (("X=20", "X=20um"), (" Z=-5.5 ", "Z=-5.5um")):
+        with pytest.raises(ConfigError, match=f"give an axis and micrometres, as {meant}$"):
+            step_of(text)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import socket
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -191,8 +192,9 @@ def test_silence_open_wires_short_frames_and_other_nodes_are_told(channel: str) 
         assert until(lambda: value(device, "T_bed") == 21.5)
         bus.send(frame(0x185, pdo(32767, 0, 0, 0)))
         assert until(lambda: any("T_bed: open circuit" in f for f in device.faults()))
-        bus.send(frame(0x185, b"\x01"))
-        assert until(lambda: any("185h comes with 1 byte, 2 are needed for map i16" in f for f in device.faults()))
+        bus.send(frame(0x185, pdo(220, 0, 0)))  # CiA 301: the whole map, or nothing of it
+        whole = "185h comes with 6 bytes, 8 are needed for map i16, i16, i16, i16; compare"
+        assert until(lambda: any(whole in f for f in device.faults()))
         assert until(lambda: any("T_bed: no frame for" in f for f in device.faults()))
         assert value(device, "T_bed") == 21.5
         bus.send(frame(0x185, pdo(216, 0, 0, 0)))
@@ -237,6 +239,11 @@ def test_heartbeats_states_and_emergencies_of_a_node(channel: str) -> None:
         assert until(lambda: any("error code 5030h" in f for f in device.faults()))
         bus.send(frame(0x085, bytes(8)))
         assert until(lambda: any("node 5: no heartbeat for" in f for f in device.faults()))
+        bus.send(frame(0x085, bytes.fromhex("1081010000000000")))
+        assert until(lambda: any("error code 8110h" in f for f in device.faults()))
+        bus.send(frame(0x705, b"\x00"))
+        bus.send(frame(0x705, b"\x05"))
+        assert until(lambda: not any("node 5" in f for f in device.faults())), "its boot-up ends what was before"
 
 
 def test_slcan_on_a_pty_with_a_cable_that_is_pulled(channel: str, tmp_path: Path) -> None:
@@ -295,6 +302,16 @@ def test_udp_multicast_between_two_processes() -> None:
             talker.kill()
             talker.join()
         assert until(lambda: any("no frame for" in f for f in device.faults()))
+
+
+def test_udp_multicast_without_its_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: python-can itself, without msgpack."""
+    for name in [n for n in sys.modules if n.startswith(("msgpack", "can.interfaces.udp_multicast"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "msgpack", None)
+    options = table("239.74.163.2", interface="udp_multicast", settings={"port": 43118}, **BED)
+    with pytest.raises(DriverUnavailable, match=r"msgpack not installed: pip install 'rtec\[can\]'"):
+        driver(**options).__enter__()
 
 
 def test_socketcan_where_the_kernel_has_it() -> None:

@@ -193,12 +193,16 @@ def settled(mill: Session) -> bool:
 
 def kill_bridge(mill: Session) -> None:
     """kill -9, and wait for the next one."""
-    names = [w for line in mill.hal("show", "comp").splitlines() for w in line.split() if w.startswith("rtec")]
-    before = mill.gets("z-correction")
-    newest = max(names, key=lambda n: int(n.partition("-")[2] or 1))
-    mill.kill(mill.component_pid(newest), 9)
+    names, before = bridges(mill), mill.gets("z-correction")
+    mill.kill(mill.component_pid(names[-1]), 9)
     assert abs(mill.gets("z-correction") - before) < 1e-4  # it may have moved before the kill, with the temperature
-    mill.until(lambda: len([w for w in mill.hal("show", "comp").split() if w.startswith("rtec")]) > len(names))
+    mill.until(lambda: len(bridges(mill)) > len(names))
+
+
+def bridges(mill: Session) -> list[str]:
+    """Names of the components of all bridges, dead ones too, the newest last."""
+    names = [w for line in mill.hal("show", "comp").splitlines() for w in line.split() if w.startswith("rtec")]
+    return sorted(names, key=lambda n: int(n.partition("-")[2] or 1))
 
 
 ZERO = "G0 X0 Y0 Z0"
@@ -246,6 +250,48 @@ def nothing_jumps(rows: Floats) -> None:
     assert np.abs(tip_um - commanded_um)[:, Z].max() < SLEW_UM + OWN_UM
 
 
+def test_whichever_process_of_the_bridge_is_killed_it_comes_back(mill: Session) -> None:
+    """The watching one, then the bridge that is left; at last both, and the HAL file's own line. Oracle: sampler."""
+    line = next(w for w in (mill.folder / "mill.hal").read_text().splitlines() if w.startswith("loadusr -Wn rtec "))
+    mill.record(1, "bridges.txt")
+    with LoopThread(mill) as thread:
+        for both in (False, True):
+            mill.until(lambda: settled(mill))
+            names = bridges(mill)
+            bridge = mill.component_pid(names[-1])
+            watcher = mill.parent(bridge)
+            if both:
+                mill.kill(bridge, signal.SIGSTOP)
+            mill.kill(watcher, signal.SIGKILL)
+            if both:
+                mill.kill(bridge, signal.SIGKILL)
+                mill.until(lambda: "halcmd loadusr" in thread.loop.stats.last_error)
+                mill.start("bridge", "halcmd", "loadusr", *line.split()[3:])
+            before = len(names)
+            mill.until(lambda n=before: len(bridges(mill)) > n)
+            mill.until(lambda: settled(mill))
+            kill_bridge(mill)
+        mill.until(lambda: settled(mill))
+    mill.stop_record(1)
+    nothing_jumps(mill.recorded("bridges.txt"))
+
+
+def test_a_limit_that_is_narrowed_while_it_runs_holds(mill: Session) -> None:
+    """The tool has less than the pin says. Oracle: the correction of Z, some µm, and `halcmd setp`."""
+    with LoopThread(mill) as thread:
+        mill.until(lambda: settled(mill) and abs(mill.gets("z-correction")) > 2e-3)
+        has_um = 1e3 * mill.gets("z-correction")
+        end = "max" if has_um > 0 else "min"
+        before = mill.gets(f"rtec-limit-z.{end}")
+        mill.hal("setp", f"rtec-limit-z.{end}", "0.001" if has_um > 0 else "-0.001")
+        try:
+            told = "HAL's rtec-limit-z lets 1 µm through: the tool has less"
+            mill.until(lambda: any(told in text for text in thread.loop.stats.reasons().get("cnc", [])))
+        finally:
+            mill.hal("setp", f"rtec-limit-z.{end}", str(before))
+        mill.until(lambda: settled(mill) and not thread.loop.stats.reasons())
+
+
 def test_a_killed_daemon_leaves_the_correction_and_the_next_goes_on(mill: Session) -> None:
     """Oracle: LinuxCNC's pins and sampler: `kill -9` of all processes of `rtec run`, twice, and no jump.
 
@@ -279,11 +325,13 @@ def test_a_restart_of_linuxcnc_waits_for_an_order(mill: Session) -> None:
     with LoopThread(mill) as thread:
         mill.until(lambda: abs(mill.gets("z-correction")) > 1e-3)
         mill.restart()
+        told = "LinuxCNC restarted: its corrections begin at zero again"
+        mill.until(lambda: f"{told}, and its joints are not homed; " in thread.loop.stats.last_error)
         mill.state("estop_reset")
         mill.state("on")
         mill.home()
         mill.mdi("G0 X40 Y40 Z40")
-        mill.until(lambda: "LinuxCNC restarted" in thread.loop.stats.last_error)
+        mill.until(lambda: f"{told}; " in thread.loop.stats.last_error)
         assert mill.gets("z-correction") == 0.0
         thread.order_resume()
         mill.until(lambda: settled(mill))

@@ -24,7 +24,7 @@ from rtec_drivers.registry import DRIVERS
 from rtec_drivers.zmq import driver as zmq_driver
 from rtec_drivers.zmq import link as zmq_link
 from rtec_drivers.zmq.driver import ClockOffset, ZmqLinkDriver
-from rtec_drivers.zmq.link import ZmqOptions, leaves_computer
+from rtec_drivers.zmq.link import Sockets, ZmqOptions, leaves_computer
 from rtec_drivers.zmq.message import KEYS, CommandAnswer, StateMessage, read_answer, read_state
 from rtec_drivers.zmq.message import command as command_text
 from tests.support.box_rig import SPEED
@@ -421,3 +421,36 @@ def test_a_far_end_that_comes_and_goes_a_thousand_times(tmp_path: Path, monkeypa
         for _ in range(1000):
             comes_and_goes()
         assert gives_back(files, threads)
+
+
+def test_a_shared_clock_that_is_behind_is_told(tmp_path: Path) -> None:
+    """Messages come every millisecond, 5 s late by this PC's clock; each alone would be called stale, or nothing."""
+    with ipc_cell(tmp_path) as cell, driver(addresses(tmp_path, clock="shared")) as link:
+        soon(CLOCK, lambda: counts_of(link))
+        with cell.lock:
+            cell.skew_ns = -5_000 * MS
+        told(link, counts_of, "messages come, but their time_ns is 5.0 s behind this PC's clock (CLOCK_MONOTONIC)")
+        degc, times = np.full(8, np.nan), np.zeros(8, np.int64)
+        told(link, lambda it: it.read_temperatures(degc, times), "5.0 s behind")
+        with cell.lock:
+            cell.skew_ns = 0
+        assert soon(CLOCK, lambda: counts_of(link)) == [1000, -2000]
+    with ipc_cell(tmp_path) as cell, driver(addresses(tmp_path, clock="own")) as link:
+        cell.skew_ns = -5_000 * MS
+        assert soon(CLOCK, lambda: counts_of(link)) == [1000, -2000]
+
+
+def test_a_message_that_comes_while_the_socket_is_read_is_not_from_the_future(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """This process is interrupted for 50 ms before each look at the socket. Oracle: the two share one clock."""
+    states = Sockets.states
+
+    def late(sockets: Sockets) -> list[bytes]:
+        CLOCK.sleep_until_ns(CLOCK.now_ns() + 50 * MS)
+        return states(sockets)
+
+    monkeypatch.setattr(Sockets, "states", late)
+    with ipc_cell(tmp_path), driver(addresses(tmp_path, clock="shared")) as link:
+        for _ in range(20):
+            assert counts_of(link) == [1000, -2000]

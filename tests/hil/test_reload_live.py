@@ -13,8 +13,10 @@ import pytest
 import tomli_w
 
 from rtec.correction.flags import Flag
+from rtec.daemon.disk import new_log_path
 from rtec.daemon.status import Report, Status
 from rtec.daemon.supervisor import Supervisor
+from rtec.log.folder import log_files
 from rtec.log.reader import LogReader
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup, load_setup
@@ -195,3 +197,29 @@ def test_a_full_disk_costs_the_log_and_nothing_else(setup: Setup, monkeypatch: p
         assert 0 < a.rows + b.rows <= report.summary["cycles"]
         assert a.rows + b.rows + report.overruns <= report.summary["cycles"]
         assert int(b.header["first_row"]) >= a.rows
+
+
+def test_the_model_of_each_log_is_kept_beside_it(setup: Setup, tmp_path: Path) -> None:
+    """After a reload each file replays to the bit with the copy that its note names; the run file has another model."""
+    path = new_log_path(setup)
+    assert path is not None
+    script = Script(
+        (lambda _: None, lambda s: abs(s.applied_um["X"]) > 10.0),
+        (other_model(setup), lambda s: s.reloads == 1 and "model" in s.reload),
+        (lambda _: None, lambda s: s.cycles > 100),
+    )
+    report, _ = run(setup, path, script)
+    assert report.warnings == []
+    first, second = log_files(path.parent)
+    now = load_setup(setup.path)
+    assert replay_log(now, second, check=True).different == 0
+    notes = replay_log(now, first).notes
+    copies = sorted((path.parent / "models").iterdir())
+    assert len(copies) == 2
+    copy = next(c for c in copies if f"[run] model = {str(c)!r} is" in notes[0])
+    content = setups.tables(tmp_path)
+    content["run"]["model"] = str(copy)
+    setup.path.write_text(tomli_w.dumps(content), encoding="utf-8")
+    own = replay_log(load_setup(setup.path), first, check=True)
+    assert (own.different, own.unchecked) == (0, 0)
+    assert not [note for note in own.notes if "model" in note]

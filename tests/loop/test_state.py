@@ -12,14 +12,16 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
-from rtec.daemon.recover import AtStart, recover
+from rtec.daemon.recover import WAITED, AtStart, recover, why_waits
 from rtec.errors import RtecError
 from rtec.loop import state_files
 from rtec.loop.clock import VirtualClock
+from rtec.loop.ports import HOLDS
 from rtec.loop.records import Samples
 from rtec.loop.state import (
     IMAGE_BYTES,
     SLOT_BYTES,
+    WHY_BYTES,
     Saved,
     StateWriter,
     is_damaged,
@@ -38,6 +40,7 @@ from rtec.loop.state_files import (
     state_places,
 )
 from rtec.loop.step import Step
+from rtec.wording import TO_RESUME
 from tests.support import setups
 
 
@@ -98,7 +101,7 @@ def test_torn_at_every_byte(step: Step) -> None:
 
 def test_a_file_that_ends_at_every_byte(step: Step) -> None:
     image = kept(step, 6).tobytes()
-    size = len(read_slot(image, 0).words)  # type: ignore[union-attr]
+    size = len(read_slot(image, 0).words) - WHY_BYTES  # type: ignore[union-attr]
     for k in [*range(size + 64), *range(SLOT_BYTES - 8, SLOT_BYTES + size + 64)]:
         saved = newest(image[:k])
         whole = 6 if k >= size - 4 else None  # the upper half of the last word is not used
@@ -108,7 +111,7 @@ def test_a_file_that_ends_at_every_byte(step: Step) -> None:
 def test_every_bit_that_turns_is_noticed(step: Step) -> None:
     """A wrong bit anywhere in the younger slot: the older one counts."""
     image = bytearray(kept(step, 6).tobytes())
-    size = len(read_slot(bytes(image), 0).words)  # type: ignore[union-attr]
+    size = len(read_slot(bytes(image), 0).words) - WHY_BYTES  # type: ignore[union-attr]
     for k in range(size - 4):  # the upper half of the last word is not used
         image[k] ^= 1 << (k % 8)
         saved = newest(bytes(image))
@@ -331,10 +334,40 @@ def test_a_wait_that_was_cut_off_goes_on(step: Step) -> None:
     writer.waits = True
     writer.keep(sample(step, 1), np.array([5, -5]), 1)
     start = recover(step, found(newest(image.tobytes())))
-    assert "stopped while it waited" in start.waits
+    assert start.waits == f"{WAITED}; {HOLDS}"
     assert start.notes[0].startswith(
         "the run before waited for an order to resume: its ledger (X -2.50 µm, Z +2.50 µm)"
     )
+
+
+def test_the_next_start_says_what_was_waited_for_and_so_does_the_one_after(step: Step, tmp_path: Path) -> None:
+    """A sensor jumped; the register of another device did nothing. Oracle: the sensor's own reason, on disk, too."""
+    jumped = f"T1: jumped from 20.00 to 90.00 °C: look at its plug; if it is right: {TO_RESUME}"
+    reasons = {"temp": ["T2: no answer", jumped], "cell": ["silent for 3 s"]}
+    says = "device temp: T1: jumped from 20.00 to 90.00 °C: look at its plug"
+    for _ in range(2):
+        image = np.zeros(IMAGE_BYTES, np.uint8)
+        writer = StateWriter(image, step, MODE_ON)
+        writer.waits = True
+        writer.tell_why(why_waits(reasons))
+        writer.keep(sample(step, 1), np.array([5, -5]), 1)
+        in_memory = newest(image.tobytes())
+        assert in_memory is not None
+        disk = DiskState(tmp_path / "state")
+        disk.write(in_memory)
+        on_disk, _ = read_disk(tmp_path / "state")
+        disk.close()
+        for saved in (in_memory, on_disk):
+            start = recover(step, found(saved))
+            assert start.waits == f"{WAITED}: {says}; {HOLDS}"
+        reasons = {"cell": [start.waits]}
+    writer.tell_why("µ" * 300)
+    torn = bytearray(image.tobytes())
+    assert newest(bytes(torn)).why == "µ" * 256  # type: ignore[union-attr]
+    torn[SLOT_BYTES + len(newest(image.tobytes()).words) - WHY_BYTES] ^= 1  # type: ignore[union-attr]
+    saved = newest(bytes(torn))
+    assert saved is not None
+    assert recover(step, found(saved)).waits == f"{WAITED}; {HOLDS}", "half a text is no reason"
 
 
 def test_a_state_that_is_damaged_is_told_and_one_way_waited_for(step: Step) -> None:

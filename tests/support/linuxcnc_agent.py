@@ -161,6 +161,11 @@ class Agent:
         """Send a signal to any process of the session."""
         os.kill(pid, number)
 
+    def parent(self, pid: int) -> int:
+        """Process id of the parent of any process of the session."""
+        with open(f"/proc/{pid}/stat") as stat:  # noqa: PTH123 - the namespaces' own Python is older
+            return int(stat.read().rpartition(")")[2].split()[1])
+
     def component_pid(self, name: str) -> int:
         """Process id of a component of HAL."""
         for line in self.hal("show", "comp").splitlines():

@@ -86,7 +86,8 @@ class CanLink:
             )
         except Exception as e:  # back ends without their maker's library raise all kinds of exceptions
             missing = options.channel.startswith("/") and not Path(options.channel).exists()
-            why = "no such port; plug it in, or name another" if missing else e
+            package = ": pip install 'rtec[can]'" if "msgpack" in str(e) else ""  # udp_multicast
+            why = "no such port; plug it in, or name another" if missing else f"{e}{package}"
             raise DriverUnavailable(f"{self.place}: cannot be opened: {why}") from e
 
     def receive(self) -> Any:

@@ -152,14 +152,14 @@ def _dbc_decoder(message: Any, signal: str, scaled: bool) -> Decoder:
 def _pdo_source(options: SignalOptions) -> SignalSource:
     start = sum(_bytes(t) for t in options.map[: options.item - 1])
     kind = options.map[options.item - 1]
-    end = start + _bytes(kind)
+    end, whole = start + _bytes(kind), sum(_bytes(t) for t in options.map)
     identifier = options.cob_id if options.cob_id is not None else PDO_IDS[options.pdo] + (options.node or 0)
 
     def number(data: bytes) -> float:
-        if len(data) < end:
+        if len(data) < whole:  # CiA 301: a PDO that is shorter than its map is not processed
             raise DriverFault(
-                f"{identifier:X}h comes with {counted(len(data), 'byte')}, {end} are needed for map "
-                f"{', '.join(options.map[: options.item])}; compare map with the device's object 1A0{options.pdo - 1}h"
+                f"{identifier:X}h comes with {counted(len(data), 'byte')}, {whole} are needed for map "
+                f"{', '.join(options.map)}; compare map with the device's object 1A0{options.pdo - 1}h"
             )
         part = data[start:end]
         if kind in ("f32", "f64"):
@@ -218,6 +218,8 @@ class NodeWatch:
         if base != HEARTBEAT:
             return None
         self._seen_ns[number], self._state[number] = now_ns, data[0] & 0x7F
+        if self._state[number] == BOOT_UP:  # what it reported before its restart is over
+            self._emergency.pop(number, None)
         if self._state[number] != OPERATIONAL and node.start:
             return bytes([START, number])
         return None

@@ -11,7 +11,8 @@ LinuxCNC's HAL file starts it. It serves one client at a time on a local socket:
 One row is what LinuxCNC's `sampler` latched in one servo period: the positions of all joints; then, where a correction
 is part of the position (external offsets, pulses), that part; then "all homed" and "machine on".
 
-A watching process restarts the bridge when it is killed. HAL keeps the pins of a dead component, and a signal keeps its
+A watching process restarts the bridge when it is killed; where that process is killed, the bridge becomes a watching
+process itself and starts the next bridge. HAL keeps the pins of a dead component, and a signal keeps its
 value: the new bridge has another component name, gives its pins the values of the dead ones, and takes over their
 signals, so nothing jumps.
 """
@@ -38,6 +39,7 @@ import hal  # type: ignore[import-not-found]
 NAME = "rtec"
 LOOK_S = 0.0005
 ENDS_NS = 10_000_000_000
+LIMITS_NS = 1_000_000_000
 AGAIN_S = 0.2
 MM_PER_INCH = 25.4
 LONGEST_UM = 1e6
@@ -192,20 +194,24 @@ class HalBridge:
         self.client: socket.socket | None = None
         self.row: dict[str, Any] | None = None
         self.wired: set[str] = set()
+        self.limits_um: list[float] = []
+        self.limits_ns = 0
         self.seq = 0
         self.looked_ns = self.moved_ns = time.monotonic_ns()
         self.drain()
         self.outputs.start()
 
-    def run(self) -> None:
-        """Serve until LinuxCNC ends; a terminating signal ends it."""
+    def run(self, watcher: int) -> bool:
+        """Serve until LinuxCNC ends, or its watching process while LinuxCNC goes on: True. A signal ends it, too."""
         while True:
             ready = [self.listener, *([self.client] if self.client else [])]
             readable = select.select(ready, [], [], LOOK_S)[0]
             if self.look():
                 self.send(self.state())
+                if os.getppid() != watcher:
+                    return True
             elif time.monotonic_ns() - self.moved_ns > ENDS_NS and self.seq:
-                return  # the servo thread has ended: so has this LinuxCNC
+                return False  # the servo thread has ended: so has this LinuxCNC
             while self.take():
                 pass
             if self.listener in readable:
@@ -266,6 +272,7 @@ class HalBridge:
         prefix = self.component.getprefix()
         self.wired = {s for s in [*self.options.sensors, "spindle-rpm"] if hal.pin_has_writer(prefix + "." + s)}
         options = self.options
+        self.read_limits()
         self.send(
             {
                 "hello": 1,
@@ -276,9 +283,14 @@ class HalBridge:
                 "actuator": options.actuator,
                 "unit_um": options.unit_um,
                 "component": prefix,
-                "max_um": [self.most_um(a) for a in options.axes],
+                "max_um": self.limits_um,
             }
         )
+
+    def read_limits(self) -> None:
+        """Read how much each axis may have."""
+        self.limits_ns = time.monotonic_ns()
+        self.limits_um = [self.most_um(a) for a in self.options.axes]
 
     def most_um(self, axis: str) -> float:
         """The largest output of an axis: the option's, or that of its limit3 as docs/linuxcnc.md names it."""
@@ -324,10 +336,29 @@ class HalBridge:
             return "a command that is not one whole number an axis"
         if self.options.actuator != "pulse" and any(abs(n) * self.options.unit_um > self.options.max_um for n in out):
             return f"beyond {self.options.max_um:g} µm (the bridge's option --max-um)"
+        beyond = self.beyond(out)
+        if beyond:
+            return beyond
         why = self.outputs.refuses(self.row)
         if not why:
             self.outputs.write(out)
         return why
+
+    def beyond(self, out: list[int]) -> str:
+        """Which axis has more than its limit3 lets through, which may have been narrowed since the start; or ""."""
+        if time.monotonic_ns() - self.limits_ns > LIMITS_NS:
+            self.read_limits()
+        if self.options.actuator == "pulse":
+            return ""
+        unit_um = self.options.unit_um
+        for axis, n, most_um in zip(self.options.axes, out, self.limits_um):
+            if abs(n) * unit_um > most_um + unit_um:
+                pin = f"rtec-limit-{axis.lower()}"
+                return (
+                    f"axis {axis}: {n * unit_um:+g} µm, and HAL's {pin} lets {most_um:g} µm through: the tool has less "
+                    f"than rtec goes by. Set {pin}.min and {pin}.max back, or lower stop_um and start rtec again"
+                )
+        return ""
 
     def send(self, message: dict[str, Any]) -> None:
         """Send to a connected client; one that is too slow misses a message."""
@@ -406,9 +437,10 @@ def session() -> str:
 def watch(argv: list[str]) -> int:
     """Start the bridge, and restart it whenever it is killed; end when it ends in order."""
     while True:
+        watcher = str(os.getpid())
         child = os.fork()
         if child == 0:
-            os.execv(sys.executable, [sys.executable, __file__, "--served", *argv])  # noqa: S606
+            os.execv(sys.executable, [sys.executable, __file__, "--served", watcher, *argv])  # noqa: S606
         signal.signal(signal.SIGTERM, lambda *_: os.kill(child, signal.SIGTERM))  # noqa: B023
         status = os.waitpid(child, 0)[1]
         if not os.WIFSIGNALED(status):
@@ -421,10 +453,13 @@ def main(argv: list[str]) -> int:
     if argv[:1] != ["--served"]:
         arguments(argv)
         return watch(argv)
-    options = arguments(argv[1:])
+    watcher, own = int(argv[1]), argv[2:]
+    options = arguments(own)
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: sys.exit(0))
-    HalBridge(options).run()
+    bridge = HalBridge(options)
+    if bridge.run(watcher):  # without a word to HAL, as if it was killed: its pins stay for the next bridge
+        os.execv(sys.executable, [sys.executable, __file__, *own])  # noqa: S606
     return 0
 
 

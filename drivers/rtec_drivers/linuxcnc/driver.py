@@ -81,7 +81,7 @@ unit_um = 0.01
         self._reopener: Reopener[BridgeLink] | None = None
         self._stuck = StuckWatch(options.stuck_after_s)
         self._session = ""
-        self._must_resume = ""
+        self._must_resume, self._restarted = "", False
         self._resuming = False
 
     @staticmethod
@@ -102,7 +102,7 @@ unit_um = 0.01
             DriverError: there is no bridge, it belongs to another machine, or it sends nothing.
         """
         self._link = self._connect()
-        self._session, self._must_resume = self._link.hello.session, ""
+        self._session, self._must_resume, self._restarted = self._link.hello.session, "", False
         self._stuck = StuckWatch(self.options.stuck_after_s)
         self._reopener = Reopener(self._connect, BridgeLink.close, self._clock, FIRST_S, LONGEST_S)
         self._reopener.start()
@@ -119,11 +119,15 @@ unit_um = 0.01
     @property
     def must_resume(self) -> str:
         """Why the correction waits for an order to resume; "" where it does not."""
-        return self._must_resume
+        if not self._restarted:
+            return self._must_resume
+        state = None if self._link is None else self._link.state
+        homed = "" if state is not None and state.homed else ", and its joints are not homed"
+        return f"LinuxCNC restarted: its corrections begin at zero again{homed}; {HOLDS}"
 
     def resume(self) -> None:
         """Go on: LinuxCNC's present output is accepted."""
-        self._must_resume = ""
+        self._must_resume, self._restarted = "", False
         link = self._link
         if link is not None:
             self._session = link.hello.session
@@ -140,8 +144,8 @@ unit_um = 0.01
             DriverUnavailable: not entered, or the bridge has gone.
         """
         state = self._now()
-        if self._must_resume:
-            raise DriverFault(self._must_resume)
+        if self.must_resume:
+            raise DriverFault(self.must_resume)
         if not state.homed:
             raise DriverFault("LinuxCNC: not all joints are homed, so nobody knows where the axes are: home them")
         counts[:] = np.rint(np.array(state.mm) * self._per_mm)
@@ -204,8 +208,8 @@ unit_um = 0.01
             DriverUnavailable: not entered, or the bridge has gone.
         """
         link = self._listened()
-        if self._must_resume:
-            raise DriverFault(self._must_resume)
+        if self.must_resume:
+            raise DriverFault(self.must_resume)
         self._now()
         refused, link.refused = link.refused, ""
         link.send([int(n) for n in output])
@@ -254,15 +258,12 @@ unit_um = 0.01
         state = self._link.state
         if state is not None and state.cleared_um is None:
             self._resuming = False
-        elif state is not None and state.cleared_um is not None and not (self._must_resume or self._resuming):
+        elif state is not None and state.cleared_um is not None and not (self.must_resume or self._resuming):
             self._must_resume = self._cleared(state.cleared_um)
         return self._link
 
     def _greet(self, hello: BridgeHello) -> None:
-        if hello.session != self._session and not self._must_resume:
-            self._must_resume = (
-                f"LinuxCNC restarted: its corrections begin at zero again, and its joints are not homed; {HOLDS}"
-            )
+        self._restarted = self._restarted or (hello.session != self._session and not self._must_resume)
 
     def _cleared(self, cleared_um: tuple[float, ...]) -> str:
         by_axis = ", ".join(

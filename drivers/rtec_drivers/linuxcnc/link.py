@@ -6,7 +6,7 @@ import socket
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from pydantic import Field, ValidationError
 
@@ -17,6 +17,7 @@ from rtec.tomlfile import Strict
 MAX_BYTES = 1 << 16
 HELLO_S = 1.0
 MAX_MM = 1e6
+LOADS: Final = "`halcmd loadusr`, then what follows `loadusr -Wn rtec` in its HAL file"
 
 
 class BridgeHello(Strict):
@@ -86,7 +87,8 @@ class BridgeLink:
         except OSError as e:
             self.close()
             raise DriverUnavailable(
-                f"{path}: no bridge listens there ({e.strerror or e}): start LinuxCNC; its HAL file starts the bridge"
+                f"{path}: no bridge listens there ({e.strerror or e}): start LinuxCNC; its HAL file starts the bridge. "
+                f"If LinuxCNC runs and the bridge does not come back: {LOADS}"
             ) from e
         except BaseException:
             self.close()

@@ -87,7 +87,7 @@ class StateBook:
         self._spindle: tuple[float, int] | None = None
         self._offset, self._stuck = ClockOffset(), StuckWatch(options.stuck_after_s)
         self._boot, self._seq, self._old_seq = "", -1, -1
-        self._heard_ns = self._now_ns = 0
+        self._heard_ns = self._now_ns = self._behind_ns = 0
         self._fault, self._stuck_faults = "", dict[str, str]()
 
     def take(self, text: bytes, now_ns: int) -> StateMessage | None:
@@ -106,6 +106,7 @@ class StateBook:
             return None
         self._seq, self._old_seq, self._heard_ns, self.heard, self._fault = state.seq, -1, now_ns, True, ""
         self._offset.add(state.time_ns, now_ns)
+        self._behind_ns = now_ns - state.time_ns
         self._keep(state, now_ns)
         return state
 
@@ -153,6 +154,18 @@ class StateBook:
                 "program restart with the same boot, or do two publish there? Mend that, then `rtec ctl resume`"
             )
         raise DriverTimeout(f"{place}: no message for {silent_s:.1f} s")
+
+    def tell_behind(self) -> None:
+        """Raise where messages come, and are as old as silence by a clock that should be this computer's.
+
+        Raises:
+            DriverFault: they are.
+        """
+        if self._options.clock == "shared" and self._behind_ns > self._options.silent_s * 1e9:
+            raise DriverFault(
+                f"{self._options.state}: messages come, but their time_ns is {self._behind_ns * 1e-9:.1f} s behind "
+                'this PC\'s clock (CLOCK_MONOTONIC): publish by that clock; from another PC, set clock = "own"'
+            )
 
     def spindle(self) -> float:
         """The spindle speed, 1/min.
@@ -372,6 +385,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """
         self._listen()
         self._book.tell()
+        self._book.tell_behind()
         if self._commands.must_resume:
             raise DriverFault(self._commands.must_resume)
         if self._tracker is None:
@@ -395,6 +409,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
             if name in self._book.degc:
                 degc[i], time_ns[i] = self._book.degc[name]
         self._book.tell()
+        self._book.tell_behind()
 
     def read_spindle(self) -> float:
         """The newest spindle speed, 1/min.
@@ -448,8 +463,8 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """Process all received messages."""
         if self._sockets is None:
             raise DriverUnavailable("zmq_link: not entered, so nothing is connected")
-        now_ns = self._clock.now_ns()
         texts = self._sockets.states()
+        now_ns = self._clock.now_ns()  # after they were received: none of them is from the future
         if texts:
             self._received_ns = now_ns
         elif now_ns - self._received_ns > RECONNECT_NS:
