@@ -12,7 +12,6 @@ from rtec.cli.common import Json, print_json
 from rtec.cli.help import App
 from rtec.cli.screen import Console
 from rtec.loop.clock import Clock, RealClock
-from rtec.quantities import DAY_S
 from rtec.wording import counted
 
 if TYPE_CHECKING:
@@ -55,6 +54,8 @@ def print_segments(segments: "list[Segment]") -> None:
 
 def _per_day(segments: "list[Segment]") -> str:
     """Size of packed logs per day, in words."""
+    from rtec.quantities import DAY_S
+
     packed = [s for s in segments if s.state == "packed" and s.from_ns is not None and s.to_ns is not None]
     seconds = sum((s.to_ns - s.from_ns) * 1e-9 for s in packed if s.from_ns is not None and s.to_ns is not None)
     if seconds <= 0:

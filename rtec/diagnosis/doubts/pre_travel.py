@@ -1,4 +1,4 @@
-"""Reversals that a touch probe makes: its stylus bends before it triggers, in each direction of approach alike."""
+"""Reversals that a touch probe makes: its stylus bends before it triggers, and by the same in each direction."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from rtec.estimation.readings import Readings
 from rtec.wording import listed, two_numbers
 
 SAME = 0.1
-"""Reversals that differ by less than this share are alike: a worn screw is not as worn as another one."""
+"""Reversals that differ by less than this share are equal: a worn screw is not as worn as another one."""
 
 
 def by_pre_travel(readings: Readings, plays: Mapping[str, float]) -> tuple[Doubt, ...]:
@@ -23,7 +23,7 @@ def by_pre_travel(readings: Readings, plays: Mapping[str, float]) -> tuple[Doubt
         return ()
     sizes = " to ".join(dict.fromkeys(two_numbers(low, high)))
     message = (
-        f"The reversals of {listed(sorted(plays))} are alike, {sizes} µm: a touch probe makes the same by its "
+        f"The reversals of {listed(sorted(plays))} are equal, {sizes} µm: a touch probe makes the same by its "
         "pre-travel, the way that its stylus bends until it triggers."
     )
     step = "Calibrate the probe in each direction, or measure one axis with a laser or a ball bar."

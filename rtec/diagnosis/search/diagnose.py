@@ -349,7 +349,7 @@ class Search:
         )  # fmt: skip
 
     def _by_probe(self, members: Sequence[Refitted]) -> tuple[Doubt, ...]:
-        """Doubt that a touch probe's pre-travel makes reversals that are alike in all directions; empty for none."""
+        """Doubt that a touch probe's pre-travel makes reversals of one size in all directions; empty for none."""
         plays = dict[str, float]()
         for t in members:
             effect, first = (
