@@ -12,12 +12,11 @@ from rtec.effects import Effect, effect_class
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.effects.spindle import of_spindle
-from rtec.estimation.candidates import library
+from rtec.estimation.candidates import away_from, library
 from rtec.estimation.gram.source import Source, both_ways, gone_along, lags_s, reads, speed_varies
 from rtec.estimation.gram.stream import Term
 from rtec.estimation.readings import read
 from rtec.estimation.visible import VisibleComponent, moves
-from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
@@ -171,24 +170,6 @@ def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Term
         whole = _candidate("cross", "cross_talk", name, axis=axis.name, other=other.name)
         for k in range(len(whole.term.effect.coefficients(machine))):
             yield _candidate("cross", "cross_talk", name, only=(k,), axis=axis.name, other=other.name)
-
-
-def away_from(machine: Machine, sensor: str, axis: str, varying: Sequence[str]) -> int:
-    """How far a sensor is from an axis, by its name: see `TermCandidate.away`.
-
-    Args:
-        machine: of both.
-        sensor, axis: their names.
-        varying: names of all sensors that may be chosen.
-    """
-
-    def own(name: str) -> bool:
-        others = [a.name for a in machine.axes if a.name != axis]
-        return not machine.of_another_axis(name, axis) and any(machine.of_another_axis(name, a) for a in others)
-
-    if machine.of_another_axis(sensor, axis):
-        return 2
-    return int(not own(sensor) and any(map(own, varying)))
 
 
 def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[TermCandidate]:

@@ -13,7 +13,6 @@ from rtec.characterise.candidates import (
     Drive,
     TermCandidate,
     at_constant_temperature,
-    away_from,
     drive,
     every_machine_has,
     is_at_constant,
@@ -34,6 +33,7 @@ from rtec.effects.thermal import AxisExpansion, ColumnTilt, MountExpansion
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
 from rtec.estimation import floor
+from rtec.estimation.candidates import away_from
 from rtec.estimation.columns import base_of
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.gram.fit import Estimate, estimate

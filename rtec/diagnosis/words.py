@@ -172,6 +172,11 @@ def _warmer(scale: str, w: Warmer) -> str:
     if w.leaves is None:
         return f"{is_so}: an expansion of {growth} would look like the change of {scale}"
     rivals = f" (or {' or '.join(w.rivals)})" if w.rivals else ""
+    if not w.sure:
+        return (
+            f"{is_so}: {w.effect} of {growth}{rivals} in place of the change of {scale} leaves as little, "
+            f"{number(w.leaves)}, and is likelier; a measurement at one more temperature decides"
+        )
     return (
         f"{is_so}: {w.effect} of {growth}{rivals} in place of the change of {scale} leaves only {number(w.leaves)}; "
         "`rtec improve` adds it if it predicts held-out runs better, too"

@@ -237,6 +237,25 @@ def on_part(part: str, sensors: Iterable[str]) -> bool:
     return any(w == name or (len(w) >= LETTERS and (name.startswith(w) or w.startswith(name))) for w in words)
 
 
+def away_from(machine: Machine, sensor: str, axis: str, varying: Sequence[str]) -> int:
+    """How far a sensor is from an axis, by its name: 0 on it, or where none is; 1 on no axis while others are on this
+    one; 2 on another axis.
+
+    Args:
+        machine: of both.
+        sensor, axis: their names.
+        varying: names of all sensors that may be chosen.
+    """
+
+    def own(name: str) -> bool:
+        others = [a.name for a in machine.axes if a.name != axis]
+        return not machine.of_another_axis(name, axis) and any(machine.of_another_axis(name, a) for a in others)
+
+    if machine.of_another_axis(sensor, axis):
+        return 2
+    return int(not own(sensor) and any(map(own, varying)))
+
+
 def _feet(readings: Readings, found: Sequence[VisibleComponent]) -> list[VisibleComponent]:
     """Turns of fixed parts, such as a column or a rotary table; only where readings in two directions see them.
 

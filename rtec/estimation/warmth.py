@@ -23,6 +23,9 @@ WARMER_K = 1.0
 MISREADS_K, APART, DRIFTS_K = (1.0, 20.0), 0.5, 0.5
 """What a sensor may read too high or too low. Since the fit it has moved away from the other sensors; what it reads too
 high explains that but for this share. By less than the last any sensor may read otherwise on another day."""
+MATERIAL, FAR_K = (4.0, 14.0), 2.0
+"""Expansion of the materials of screws and scales, glass to steel, µm/(m·K): what looks like one is likelier to be one
+than to be another scale error, where the part is at least so many kelvin from all that it was in the fit."""
 EXPANDS, SURE = 25.0, 2.0
 """Expansion that no material of a machine exceeds, µm/(m·K), and standard errors beyond it."""
 
@@ -51,6 +54,7 @@ class Warmer:
         effect: label of the expansion that explains the readings better than that change; empty where none does.
         leaves: residual with that effect, in the unit of the diagnosis; None without one.
         rivals: labels of expansions by other sensors that explain them better than that change as well.
+        sure: whether that effect explains the readings better, and not only as well and as a material expands.
     """
 
     sensor: str
@@ -59,6 +63,7 @@ class Warmer:
     effect: str = ""
     leaves: float | None = None
     rivals: tuple[str, ...] = ()
+    sure: bool = True
 
 
 @dataclass(frozen=True)

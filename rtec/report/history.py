@@ -215,6 +215,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         lead += (
             f" {' and '.join(shapes)} {are} the shape of what no effect of the catalogue describes." if shapes else ""
         )
+    lead = " ".join([lead, *(sentence(s.notes[0]) for s in r.steps if s.in_place_of and s.notes)])
     lead = " ".join([lead, *(f"{u.words}: {u.advice}." for s in r.steps for u in s.unmeasured)])
     if r.events:
         lead = f"{words(r.events)} {lead}"

@@ -18,6 +18,7 @@ from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.report.history import improved_page
 from rtec.sim.campaign.truth import effect_from_text
 from tests.support import proof
 from tests.support.both import both
@@ -150,3 +151,31 @@ def test_a_sensor_may_read_a_little_otherwise_on_another_day(off_k: float) -> No
     assert f"(or T_x_nut reads {abs(changed.misread.by_k):.2f} K {'more' if off_k > 0.0 else 'less'} than then)" in (
         found.sentence
     )
+
+
+def still(seed: int, degc: float, scale: float = SCALE) -> Measurement:
+    """A day on which no temperature changes; the screw grows as steel does."""
+    m = day(seed, degc, scale=scale)
+    rng, x = np.random.default_rng(seed), m.channels["x"]
+    error = 1e-3 * x * (scale + 11.2 * (degc - 20.0)) + 0.5 * PLAY * m.channels["d_x"]
+    degc_read = {n: np.round(degc + 0.04 * rng.normal(size=len(x)), 1) for n in ("T_x_nut", "T_air")}
+    read_um = {"reading_um": error + NOISE_UM * rng.normal(size=len(x))}
+    return replace(m, channels={**m.channels, **degc_read}, readings=read_um)
+
+
+@pytest.mark.parametrize(("scale", "grows"), [(SCALE, True), (SCALE - 90.0, False)])
+def test_what_a_warmer_day_changes_as_steel_grows_is_no_other_scale_error(scale: float, grows: bool) -> None:
+    """`improve` had made the scale 57 µm/m larger: at 17 °C the model left 13.8 µm, and 5.3 before.
+
+    Oracle: the law, on a day at a third temperature. What shrinks in the warmth is no expansion.
+    """
+    known = Model(MACHINE, tuple(effect_from_text(t, MACHINE) for t in KNOWN[:2]), name="mill")
+    model, today = add(known, [], [still(1, 20.0)]).model, still(2, 25.0, scale)
+    d, done = both(model, [today], changes=True, draws=50)
+    assert ("and is likelier; a measurement at one more temperature decides" in d.sentence) is grows
+    assert [s.labels for s in done.steps] == [("axis_expansion(EXX, X, T_x_nut)",)] * grows
+    assert error_um(done.model, today) < 1.2 * NOISE_UM
+    if grows:
+        assert done.model.effects[-1].values["k"] == pytest.approx(11.2, abs=0.3)
+        assert error_um(done.model, still(3, 17.0)) < 1.5 * NOISE_UM < error_um(model, still(3, 17.0))
+        assert "a measurement at one more temperature decides" in improved_page(done, figures=False).lead

@@ -250,6 +250,7 @@ def add(
     given: Clean | None = None,
     own: int | None = None,
     earlier: Model | None = None,
+    held: bool = False,
 ) -> Added:
     """Add effects and refit everything, on the channels that the loop has.
 
@@ -266,6 +267,7 @@ def add(
             default all, or none if the model names one of the measurements.
         earlier: the model before any of its numbers was fitted to these readings; by default the model itself, unless
             it names one of the measurements.
+        held: whether the first `own` effects keep their numbers in any case.
 
     Raises:
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
@@ -276,7 +278,7 @@ def add(
         again = any(m.fingerprint in model.measurements.values() for m in measurements)
         kept = own if own is not None else 0 if again else len(model.effects)
         before = earlier if earlier is not None else None if again else model
-        return _add(model, new, measurements, progress, given, kept, before)
+        return _add(model, new, measurements, progress, given, kept, before, held)
 
 
 def _add(
@@ -287,6 +289,7 @@ def _add(
     given: Clean | None,
     own: int,
     earlier: Model | None,
+    held: bool,
 ) -> Added:
     _check_new(model, new)
     check_enough(measurements)
@@ -307,14 +310,14 @@ def _add(
         settles = bool(after.undetermined) and not kept.undetermined and other.better
         lower, n = other.after.held_out < (1.0 - CLEARLY) * made.after.held_out, len(readings)
         clearly = lower and not (sharper(other.after, made.after, n) and gains(made.before, made.after, n))
-        if settles or clearly or _holds(model, there, made, other):
+        if held or settles or clearly or _holds(model, there, made, other):
             after, made = kept, other
-    if new and not gains(made.before, made.after, len(readings)):
+    if new and not held and not gains(made.before, made.after, len(readings)):
         # Numbers held near what earlier readings made them hide what free ones show before and after.
         free = _judged(model, new, measurements, there, (before, freely), own, 0, alike=True)
         if gains(free.before, free.after, len(readings)) and _settled_gain(model, there, before, freely):
             after, made = freely, free
-    worse = _size(readings, freely.left) > (1.0 + WORTH) * _size(readings, before.left)
+    worse = not held and _size(readings, freely.left) > (1.0 + WORTH) * _size(readings, before.left)
     if new and earlier is not None and worse and not gains(made.before, made.after, len(readings)):
         # Numbers that have changed without what is new were held beside it: these readings alone determine both.
         alone, words = _with_new(model, new, before, readings, None)

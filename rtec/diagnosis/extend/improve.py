@@ -22,10 +22,11 @@ from rtec.diagnosis.extend.add import (
     rival_notes,
     rivals_of,
 )
+from rtec.diagnosis.extend.history import Errors
 from rtec.diagnosis.extend.record_event import RecordEvent, has_instant, of_record, taken_out
 from rtec.diagnosis.extend.temperatures import fixed_end, further_temperatures, hardly_varied
 from rtec.diagnosis.result import AT_FLOOR, Diagnosis, Finding, Unknown
-from rtec.diagnosis.search.changes import VISIBLE, expansions_instead, with_changes
+from rtec.diagnosis.search.changes import AS_WELL, VISIBLE, expansions_instead, with_changes
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
@@ -510,12 +511,16 @@ class _Growth:
         return replace(found, findings=tuple(replace(f, rank=i) for i, f in enumerate(ordered, 1)))
 
     def expansion_instead(self, model: Model, refit: Added) -> Added | None:
-        """The model with an expansion in place of a scale error that a refit changes; None where none is better."""
+        """The model with an expansion in place of a scale error that a refit changes; None where none is likelier."""
         for new, number in expansions_instead(
             model, self.given, refit.changed, Judgement(refit.model, self.given).residual
         ):
-            added = self._gaining(model, [new])
-            if added is not None and added.after.held_out < refit.after.held_out:
+            if number.warmer is None or number.warmer.sure:
+                added, bound = self._gaining(model, [new]), refit.after.held_out
+            else:  # today shows only the sum of both: the model keeps its scale error
+                made = _from(refit.before, self._adding(model, [new], len(model.effects), held=True))
+                added, bound = made if self._gains(made) else None, AS_WELL * refit.after.held_out
+            if added is not None and added.after.held_out < bound:
                 note = of_warmth([number]).strip().rstrip(".")
                 return replace(added, notes=(note, *added.notes), in_place_of=number.effect)
         return None
@@ -600,9 +605,11 @@ class _Growth:
             added = added if kept.undetermined else kept
         return added
 
-    def _adding(self, model: Model, new: Sequence[FittedEffect], own: int) -> Added:
-        """The model with effects, of which the first `own` are not fitted to these readings yet."""
-        return add(model, new, self.measurements, stage=self.stage, given=self.given, own=own, earlier=self.earlier)
+    def _adding(self, model: Model, new: Sequence[FittedEffect], own: int, held: bool = False) -> Added:
+        """The model with effects, of which the first `own` are not fitted to these readings yet, or not to be."""
+        return add(
+            model, new, self.measurements, stage=self.stage, given=self.given, own=own, earlier=self.earlier, held=held
+        )
 
     def _gains(self, added: Added) -> bool:
         """Whether an addition is worth it: it predicts held-out runs better, cancels no effect of the model, and gives
@@ -690,6 +697,12 @@ def _between(added: Added) -> bool:
     if mine is None or mine in [getattr(f.effect, "sensor", None) for f in body]:
         return True
     return sum(f.values[n] * v for f in body for n, v in last.values.items()) >= 0.0
+
+
+def _from(before: Errors, added: Added) -> Added:
+    """An addition with other errors before it: of the model as it was, whose numbers it keeps."""
+    entry = {**added.model.history[-1], "rms_before": before.held_out}
+    return replace(added, before=before, model=replace(added.model, history=(*added.model.history[:-1], entry)))
 
 
 def _moves(before: Model, after: Model) -> bool:

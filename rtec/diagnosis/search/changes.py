@@ -18,10 +18,12 @@ from rtec.errors import RtecError
 from rtec.estimation.joint import ChangedNumber, changed_numbers, joint_fit
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import Clean
-from rtec.estimation.warmth import EXPANDS, Warmer, off_along
+from rtec.estimation.warmth import EXPANDS, FAR_K, MATERIAL, Warmer, off_along
 from rtec.machine import Machine
 from rtec.model import FittedEffect, Model
 
+AS_WELL = 1.25
+"""A residual within this factor of another one is as good: a sensor that is read in steps adds to it."""
 AT_NOISE = 1.1
 """A residual within this factor of the noise floor says nothing about numbers that have changed."""
 VISIBLE = 0.35
@@ -90,7 +92,9 @@ def _named(found: Diagnosis, model: Model) -> list[FittedEffect]:
 def expansions_instead(
     model: Model, given: Clean, changed: Sequence[ChangedNumber], refitted: float
 ) -> list[tuple[FittedEffect, ChangedNumber]]:
-    """Expansions that explain these readings better than a changed scale error, the best first.
+    """Expansions that explain these readings better than a changed scale error, or as well and as a material expands.
+
+    The best comes first.
 
     Args:
         model: with its own numbers, of an earlier day.
@@ -108,12 +112,23 @@ def expansions_instead(
             fit = joint_fit((*model.effects, new), given.readings, earlier=model)
         except RtecError:
             continue
-        k = fit.effects[-1].values["k"]
+        k, sensor = fit.effects[-1].values["k"], str(getattr(new.effect, "sensor", ""))
         size = Judgement(replace(model, effects=fit.effects), given).residual
-        if 0.0 < k <= EXPANDS and size**2 < bar:
-            warm = Warmer(str(getattr(new.effect, "sensor", "")), by_k, k, new.label, size)
+        sure = 0.0 < k <= EXPANDS and size**2 < bar
+        usual = c.warmer is not None and c.warmer.sensor == sensor and _is_usual(c.warmer)
+        if usual and not sure and c.warmer is not None:
+            k = c.warmer.growth
+            grown = replace(new, values={"k": k})
+            size = Judgement(replace(model, effects=(*model.effects, grown)), given).residual
+        if sure or (usual and size < AS_WELL * refitted):
+            warm = Warmer(sensor, by_k, k, new.label, size, sure=sure)
             out.append((size, new, replace(c, warmer=warm)))
     return [(new, c) for _, new, c in sorted(out, key=lambda f: f[0])]
+
+
+def _is_usual(w: Warmer) -> bool:
+    """Whether what looks like another scale error is what a screw or scale of a usual material grows by."""
+    return abs(w.by_k) >= FAR_K and MATERIAL[0] <= w.growth <= MATERIAL[1]
 
 
 def with_expansions(

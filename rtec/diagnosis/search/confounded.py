@@ -16,6 +16,8 @@ from rtec.effects.base import component_kind
 from rtec.effects.cyclic import CyclicPole
 from rtec.effects.motion import ServoLag
 from rtec.effects.registry import all_effects
+from rtec.effects.thermal import AxisExpansion, AxisExpansionNonuniform
+from rtec.estimation.candidates import away_from
 from rtec.estimation.readings import Readings
 from rtec.machine import Machine
 from rtec.model import FittedEffect
@@ -35,8 +37,9 @@ APART = 0.3
 
 INDIRECT = 0.4
 """Each step away from the direct component lowers the logarithm of the prior by this."""
-ELSEWHERE = math.log(10.0)
-"""A sensor that is named after another axis lowers the logarithm of the prior by this."""
+ELSEWHERE = math.log(30.0)
+"""A sensor that is named after another axis lowers the logarithm of the prior by this, twice where the axis has one of
+its own; one that is named after no axis once, then."""
 AHEAD = math.log(10.0)
 """A drive that runs ahead of its command lowers the logarithm of the prior by this: without excessive feed-forward it
 lags."""
@@ -56,12 +59,12 @@ def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
 
     - would have to be a hundred times its usual size;
     - reaches the readings less directly: an angle of another axis, times its arm;
-    - follows a sensor whose name says that it is at another axis;
+    - follows a sensor whose name says that it is at another axis, or on no axis where the axis has its own;
     - is a drive ahead of its command.
     """
     size = min(0.5 * (math.log(max(_against_usual(effect, values, machine), 1.0)) / USUAL) ** 2, 6.0)
     ahead = type(effect) is ServoLag and values[0] > 0.0
-    return -size - INDIRECT * directness(effect, machine) - ELSEWHERE * elsewhere(effect, machine) - AHEAD * ahead
+    return -size - INDIRECT * directness(effect, machine) - ELSEWHERE * away(effect, machine) - AHEAD * ahead
 
 
 def unheard_of(effect: Effect, values: Floats, machine: Machine) -> bool:
@@ -79,6 +82,13 @@ def elsewhere(effect: Effect, machine: Machine) -> bool:
     """Whether an effect follows a sensor whose name says that it is at another axis; of a spindle, at any axis."""
     axis = getattr(effect, "axis", None) or effect.component[2:].removeprefix("0")
     return any(machine.of_another_axis(c, axis) for c in effect.channels(machine) if c in machine.sensor_names)
+
+
+def away(effect: Effect, machine: Machine) -> int:
+    """How far the sensors of an effect are from what they act on, by their names; see `away_from`."""
+    if not isinstance(effect, AxisExpansion | AxisExpansionNonuniform):
+        return int(elsewhere(effect, machine))
+    return away_from(machine, effect.sensor, effect.axis, machine.sensor_names)
 
 
 def cosine(a: Floats, b: Floats) -> float:

@@ -39,8 +39,8 @@ from rtec.diagnosis.search.confounded import (
     PERIODS,
     WITHIN,
     aliases_mm,
+    away,
     cosine,
-    elsewhere,
     step_mm,
 )
 from rtec.diagnosis.search.drift_alone import drift_makes
@@ -224,7 +224,7 @@ def leaner_first(
         return int(t.columns.shape[1]) + len(t.theta)
 
     def farther(t: Refitted) -> bool:
-        return elsewhere(effects[t.number], machine) and not elsewhere(effects[first.number], machine)
+        return away(effects[t.number], machine) > away(effects[first.number], machine)
 
     rivals = [
         t
