@@ -209,7 +209,7 @@ class ColumnTilt(Effect):
         ),
         reveal="drift probes at two heights, or a level, while one side is heated",
     )
-    feeds: ClassVar[tuple[Kind, ...]] = ("axis_angle", "link_angle", "tilt", "link")
+    feeds: ClassVar[tuple[Kind, ...]] = ("axis_angle", "link_angle", "tilt")
     driven_by: ClassVar[tuple[str, ...]] = ("two temperatures",)
     effect: Literal["column_tilt"] = "column_tilt"
     front: str

@@ -97,7 +97,9 @@ def library(
             usual = [e for e in instances(kind, around) if not _of_position(e, seen, readings)]
             known = [f for f in there if type(f.effect) is kind and f.effect.component == seen.name]
             late = [e for e in map(_late, (f.effect for f in known)) if e is not None and e not in usual]
-            found = [_candidate(e, readings) for e in [*usual, *late]]
+            shift = _read_as_shift(seen, shown, readings) if kind is ColumnTilt else None
+            shifts = [e.model_copy(update={"component": shift}) for e in usual] if shift is not None else []
+            found = [_candidate(e, readings) for e in [*usual, *late, *shifts]]
             found += [EffectCandidate(e, (f.theta,)) for f in known for e in _grown(f.effect, around)]
             out += [c for c in found if c is not None]
             why = lacking(kind, around)
@@ -134,6 +136,19 @@ def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> 
     one_arm = float(np.ptp(np.concatenate(mine))) < ONE_ARM * float(np.abs(np.concatenate(mine)).max())
     by_others = isinstance(effect, AxisExpansion) and not on_part(effect.axis, [effect.sensor])
     return shifts and (isinstance(effect, BedBending | MissedCounts) or by_others or one_arm)
+
+
+def _read_as_shift(seen: VisibleComponent, shown: Sequence[VisibleComponent], readings: Readings) -> str | None:
+    """The shift of the same part that these readings cannot distinguish from an angle; None where they can.
+
+    Where another link stands for the part, it is that of the link.
+    """
+    if component_unit(seen.name) != "urad":
+        return None
+    mine, part = _shape(readings, seen.name), part_of(seen.name)
+    shifts = [c for c in shown if component_unit(c.name) == "um" and (part_of(c.name) == part or c.axis is None)]
+    alike = (c.name for c in shifts if abs(float(mine @ _shape(readings, c.name))) > 1.0 - ONE_ARM)
+    return min(alike, key=lambda name: part_of(name) != part, default=None)
 
 
 def visible(readings: Readings, there: Sequence[FittedEffect] | None = ()) -> list[VisibleComponent]:

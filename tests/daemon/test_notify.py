@@ -186,8 +186,12 @@ class Service:
 
 @pytest.mark.usefixtures("runtime_folder")
 @pytest.mark.xdist_group("real-clock")
-def test_the_daemon_is_ready_after_its_first_good_cycle_and_reloads_on_hup(tmp_path: Path) -> None:
+def test_the_daemon_is_ready_after_its_first_good_cycle_and_reloads_on_hup(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     """The counts are silent from cycle 0 to 200 of the loop: not ready in them. Then HUP is a reload, TERM the end."""
+    own = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # not as `nohup` leaves it
+    request.addfinalizer(lambda: signal.signal(signal.SIGHUP, own))
     with manager(str(tmp_path / "notify")) as made:
         service = Service(tmp_path, made, 10.0, happens="silence", at_cycle=1)
         try:
