@@ -48,11 +48,11 @@ def pytest_make_parametrize_id(val: object) -> str | None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """One worker a core, and three for tests that mostly wait: for devices, the real clock, browsers and LinuxCNC.
+    """One worker a core, and two for the tests that mostly wait: for the real clock, and for browsers and LinuxCNC.
 
-    These are the largest three groups, so they begin first; beside them all others use the cores.
+    These are the largest two groups, so they begin first; beside them all others use the cores.
     """
-    return len(os.sched_getaffinity(0)) + 3
+    return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.hookimpl(wrapper=True)

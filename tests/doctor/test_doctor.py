@@ -25,7 +25,7 @@ from tests.support.conformance import open_files
 from tests.support.doctor_rig import ALL_SIM, CALM_HZ, SPEED, plain_port, run_file, seen, sim, texts, usb_port
 from tests.support.modbus_peer import FakeLine, FakeSlave, line, serial, slave_table
 
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 SILENT_HINT = "is the device switched on, and its cable in (A and B, RX and TX not swapped)?"
 
 

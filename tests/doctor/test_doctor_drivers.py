@@ -13,7 +13,7 @@ from rtec.loop.run_file import load_setup
 from rtec_drivers.sim import SimDriver
 from tests.support.doctor_rig import ALL_SIM, Fake, run_file, seen, sim, texts, with_fake
 
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 FAKE_ROLES = {"counts": "fake", "actuator": "fake"}
 
 

@@ -54,7 +54,7 @@ def test_wake_ups_are_judged_by_the_cycle(changed: dict[str, float], state: str,
     assert part in finding.why
 
 
-@pytest.mark.xdist_group("devices")
+@pytest.mark.xdist_group("real-clock")
 def test_wake_ups_of_this_computer() -> None:
     """In its own process, which is treated like the loop. Oracle: how many there must be; none is early."""
     done: list[tuple[int, int]] = []
@@ -64,7 +64,7 @@ def test_wake_ups_of_this_computer() -> None:
     assert done[-1] == (5, 5)
 
 
-@pytest.mark.xdist_group("devices")
+@pytest.mark.xdist_group("real-clock")
 def test_ctrl_c_ends_the_measurement_without_a_word() -> None:
     """A terminal sends it to both processes; the other one says that it ended. Oracle: the standard error."""
     orders = {
@@ -91,7 +91,7 @@ def test_ctrl_c_ends_the_measurement_without_a_word() -> None:
         assert process.stderr.read() == b""
 
 
-@pytest.mark.xdist_group("devices")
+@pytest.mark.xdist_group("real-clock")
 def test_the_command_without_a_run_file(capsys: pytest.CaptureFixture[str]) -> None:
     """On whatever computer this is: the exit status says what the JSON says."""
     code = status(["doctor", "--seconds", "0.2", "--json"])

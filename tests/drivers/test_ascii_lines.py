@@ -21,7 +21,7 @@ from rtec_drivers.ascii.text import AsciiOptions, LineParser, LineReader
 from rtec_drivers.pty_peer import PtyPeer
 from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files, soon
 
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 MS = 1_000_000
 SECOND = 1000 * MS
 TWO = r"T1=\s*(?P<T_bed>\S+) T2=\s*(?P<T_air>\S+)"

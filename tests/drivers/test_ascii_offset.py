@@ -21,7 +21,7 @@ from rtec_drivers.pty_peer import PtyPeer
 from tests.support.conformance import MACHINE, DriverLaws, Rig, soon
 from tests.support.offset_controller import OffsetController, controller_over_tcp
 
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 CLOCK = RealClock()
 ACKNOWLEDGED = {
     "command": ["OFS X={X:.4f} Z={Z:.4f}"],

@@ -36,7 +36,7 @@ from tests.support.box_peer import StillPlant
 from tests.support.can_peer import Repeater, bus_on, frame, new_channel
 from tests.support.modbus_peer import CLOCK, FakeSlave, line, until
 
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 __all__ = ["program"]  # a fixture
 
 

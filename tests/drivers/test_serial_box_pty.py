@@ -25,7 +25,7 @@ from tests.support import box_rig, gateware
 from tests.support.box_rig import SPEED, box_on_pty, options
 from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files, soon
 
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 CLOCK = RealClock()
 each_box = box_rig.each_box
 

@@ -28,7 +28,7 @@ from tests.support.command import here
 from tests.support.conformance import MACHINE
 
 PAGE = (Path(__file__).parents[2] / "docs" / "write-a-driver.md").read_text(encoding="utf-8")
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 
 
 def blocks(language: str) -> list[str]:

@@ -31,7 +31,7 @@ from tests.support.box_rig import SPEED
 from tests.support.conformance import CONFIGS, MACHINE, DriverLaws, Rig, gives_back, open_files, soon
 from tests.support.zmq_rig import Cell, ipc_cell
 
-pytestmark = pytest.mark.xdist_group("devices")
+pytestmark = pytest.mark.xdist_group("real-clock")
 MS = 1_000_000
 CLOCK = RealClock()
 
