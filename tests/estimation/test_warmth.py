@@ -104,17 +104,17 @@ def test_several_temperatures_make_together_what_the_day_of_the_fit_showed(
 
 
 def test_of_two_expansions_against_each_other_the_second_is_no_contradiction_of_the_first() -> None:
-    """A scale grows by 8 µm/(m·K) and the work by 11.5, on one record. `add` refused the second: "The expansion of X
+    """A scale grows by 18 µm/(m·K) and the work by 11.5, on one record. `add` refused the second: "The expansion of X
     would have been -7.9 on the day of the fit, which showed -11", and that day was the same record.
     """
     day_ = bar.day(1, 0.0, slack=False)
     x, nut, bed = (day_.channels[c] for c in ("x", "T_x_nut", "T_bed"))
     screw = bar.screw_um(x, nut, 0.0)
-    grown = day_.readings["reading_um"] - 2.0 * screw + 8e-3 * (x - 300.0) * (bed - 20.0)
+    grown = day_.readings["reading_um"] - 2.0 * screw + 18e-3 * (x - 300.0) * (bed - 20.0)
     made, days = bar.empty(), [replace(day_, readings={"reading_um": grown})]
     for sensor, fixed_mm in (("T_x_nut", 0.0), ("T_bed", 300.0)):
         given = {"axis": "X", "sensor": sensor, "fixed_mm": fixed_mm}
         added = add(made, [asked_effect("axis_expansion", "EXX", given, made)], days)
         assert (added.better, added.impossible) == (True, ())
         made = added.model
-    assert [f.values["k"] for f in made.effects] == pytest.approx([-11.5, 8.0], rel=0.05)
+    assert [f.values["k"] for f in made.effects] == pytest.approx([-11.5, 18.0], rel=0.05)
