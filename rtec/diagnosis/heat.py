@@ -177,16 +177,18 @@ def late_sensor(effect: Effect, delay_s: float, value: float, known: Sequence[Fi
         value: its number.
         known: effects of the model.
     """
-    for f in known:
+    sensor = getattr(effect, "sensor", None)
+    for f in known if sensor is not None else ():
         late = {"lag": True} if getattr(f.effect, "lag", None) is False else {}
         soon = max(delay_s, f.theta.get("tau", 0.0)) < SLOW_S
         if not soon or f.effect.model_copy(update=late) != effect or len(f.values) != 1:
             continue
-        by_s = -value * (delay_s - f.theta.get("tau", 0.0)) / next(iter(f.values.values()))
-        if abs(by_s) > SENSOR_S:
+        (own,) = f.values.values()
+        lead = -value * (delay_s - f.theta.get("tau", 0.0))
+        if abs(lead) >= SENSOR_S * abs(own):
             continue
+        by_s = lead / own
         late_one, other = ("sensor", "part") if by_s > 0.0 else ("part", "sensor")
-        sensor = getattr(effect, "sensor", "the temperature")
         message = (
             f"The residual follows how fast {sensor} changes, as if the {late_one} were {abs(by_s):.0f} s later than "
             f"the {other}: no other effect than {f.label} of the model is needed."

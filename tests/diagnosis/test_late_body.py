@@ -12,6 +12,7 @@ from rtec.characterise.candidates import thermal
 from rtec.diagnosis.doubts.edited import as_in_the_fit
 from rtec.diagnosis.doubts.edits import Edit
 from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.heat import late_sensor
 from rtec.diagnosis.search import diagnose as search
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.effect_list import read_wanted
@@ -224,3 +225,15 @@ def test_a_sensor_that_is_read_late_is_no_missing_effect(late_s: float) -> None:
     told = re.search(r"as if the sensor were (\d+) s later than the part", said.message)
     assert told
     assert float(told[1]) == pytest.approx(late_s, rel=0.3)
+
+
+@pytest.mark.parametrize(("number", "said"), [(11.5, True), (0.0, False)])
+def test_a_late_sensor_needs_an_effect_that_acts(number: float, said: bool) -> None:
+    """Oracle: the quotient of the numbers, 10 s; an effect of zero follows nothing."""
+    machine = mill()
+    at_once = effect_from_text(f"axis_expansion,component=EXX,axis=X,sensor=T_bed,k={number}", machine)
+    found = late_sensor(at_once.effect.model_copy(update={"lag": True}), 100.0, -1.15, [at_once])
+    assert (found is not None) is said
+    assert found is None or "as if the sensor were 10 s later than the part" in found.message
+    by_speed = effect_from_text("spindle_growth,component=EZ0head,k=1,tau=100,p=1", machine)
+    assert late_sensor(by_speed.effect, 300.0, -0.1, [by_speed]) is None

@@ -251,7 +251,7 @@ def nothing_jumps(rows: Floats) -> None:
 
 
 def test_whichever_process_of_the_bridge_is_killed_it_comes_back(mill: Session) -> None:
-    """The watching one, then the bridge that is left; at last both, and the HAL file's own line. Oracle: sampler."""
+    """The watching process is killed, then the bridge, then both; HAL's own line starts it again. Oracle: sampler."""
     line = next(w for w in (mill.folder / "mill.hal").read_text().splitlines() if w.startswith("loadusr -Wn rtec "))
     mill.record(1, "bridges.txt")
     with LoopThread(mill) as thread:

@@ -51,7 +51,7 @@ DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {
 }
 """Doubts beside which it is undetermined whether an effect is missing."""
 BESIDE_A_NAME: frozenset[Kind] = frozenset({"beam_in_air", "not_read", "warm_start", "late_temperatures", "pre_travel"})
-"""Doubts that are said beside a named effect, as what may cause the same."""
+"""Doubts that the answer adds to a named effect: something else may cause the same."""
 CHANGES_SLOWLY: frozenset[Kind] = frozenset({"instrument_warm_up", "no_temperature", "beyond_materials"})
 """Doubts about a change over hours, which moves the readings of both directions alike."""
 

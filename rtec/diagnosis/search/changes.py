@@ -115,8 +115,8 @@ def expansions_instead(
         k, sensor = fit.effects[-1].values["k"], str(getattr(new.effect, "sensor", ""))
         size = Judgement(replace(model, effects=fit.effects), given).residual
         sure = 0.0 < k <= EXPANDS and size**2 < bar
-        usual = c.warmer is not None and c.warmer.sensor == sensor and _is_usual(c.warmer)
-        if usual and not sure and c.warmer is not None:
+        usual = not sure and c.warmer is not None and c.warmer.sensor == sensor and _is_usual(c.warmer)
+        if usual and c.warmer is not None:  # with the model's own numbers, and what looks like their change
             k = c.warmer.growth
             grown = replace(new, values={"k": k})
             size = Judgement(replace(model, effects=(*model.effects, grown)), given).residual
