@@ -135,7 +135,7 @@ def test_what_an_order_to_resume_ended_is_news_when_it_comes_again() -> None:
 
 
 def test_a_reason_that_stays_hides_no_other() -> None:
-    """Nobody resets a CANopen emergency, and lines of garbage come. A later bus-off is an event, and its return is one."""
+    """Nobody resets a CANopen emergency, and lines of garbage come. A later bus-off is an event, each time."""
     made, told = alarms()
     emergency, off = "node 5: emergency message, error code 8110h", "can0: bus-off: look at wiring"
     for k in range(3):
